@@ -18,7 +18,7 @@ def came(value: object) -> str:
 
 def said(error: BaseException) -> str:
     """What somebody else's exception says, on one line: "ValueError: too small"."""
-    return f"{type(error).__name__}: {' '.join(str(error).split()) or 'no message'}"
+    return f"{type(error).__name__}: {' '.join(str(error).split()).rstrip('.') or 'no message'}"
 
 
 class CasacalError(Exception):

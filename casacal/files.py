@@ -36,15 +36,15 @@ def place_whole(path: str | Path, write: Callable[[Path], object]) -> None:
     Where `path` is a link, what it leads to is written; what exists and is no file, such as a device, is written into.
     """
     target = Path(path)
-    if target.is_symlink():
-        target = Path(os.path.realpath(target))
     if target.is_dir():
         raise CasacalError(f"'{target}' is a folder", "Name a file")
-    if target.exists() and not target.is_file():
+    if target.exists() and not target.is_file():  # /dev/stdout may lead to a pipe, which has no path of its own
         with writable(target), tempfile.TemporaryDirectory() as place, target.open("wb") as out:
             write(Path(place) / "whole")
             out.write((Path(place) / "whole").read_bytes())
         return
+    if target.is_symlink():
+        target = Path(os.path.realpath(target))
     with writable(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         prefix = f".{target.name}."
@@ -67,6 +67,13 @@ def writable(place: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise CasacalError(f"'{place}' cannot be written ({error.strerror})", "Choose another place") from error
+
+
+def check_writable(folder: Path) -> None:
+    """Raise CasacalError where a folder cannot be written or made; nothing of the trial stays."""
+    above = next(each for each in (folder, *folder.absolute().parents) if each.exists())
+    with writable(folder), tempfile.TemporaryDirectory(dir=above, prefix=PREFIX):
+        pass
 
 
 def mark_of_this_run() -> str:
@@ -128,7 +135,7 @@ PREFIX = ".casacal-"
 
 
 @contextmanager
-def together(folder: Path, names: Sequence[str]) -> Iterator[Path]:
+def together(folder: Path, names: Sequence[str], *, asked: Path | None = None) -> Iterator[Path]:
     """A place for files that all take their places in a folder at the end, or none of them.
 
     Files of the same names from an earlier run go first, so that the folder never holds files of two runs; the last
@@ -137,13 +144,14 @@ def together(folder: Path, names: Sequence[str]) -> Iterator[Path]:
     Args:
         folder: made where it does not exist; removed again if it was made and nothing came of it.
         names: files that may be made, in the order in which they are placed.
+        asked: what a refusal names; by default the folder.
 
     Raises CasacalError when the folder cannot be written, or another run is writing into it.
 
     """
     made = not folder.exists()
     try:
-        with writable(folder):
+        with writable(asked or folder):
             folder.mkdir(parents=True, exist_ok=True)
             with _locked(folder):
                 sweep(folder, PREFIX)
@@ -161,9 +169,9 @@ def together(folder: Path, names: Sequence[str]) -> Iterator[Path]:
 
 @contextmanager
 def side_by_side(targets: Sequence[Path]) -> Iterator[list[Path]]:
-    """Places for files that go to targets in one folder, as `together` does; yields where to write each."""
+    """Places for files that go to targets in one folder, as `together` does, the last one named where it refuses."""
     folder = targets[0].parent
-    with together(folder, [target.name for target in targets]) as place:
+    with together(folder, [target.name for target in targets], asked=targets[-1]) as place:
         yield [place / target.name for target in targets]
 
 

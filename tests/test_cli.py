@@ -255,6 +255,36 @@ def test_bad_problem_files_are_refused_in_one_line(run, tmp_path, name):
     assert "Traceback" not in err
 
 
+SLIP = """import math
+from casacal import DialOnPlane, Problem, Robot
+from casacal.kinematics import chain, rotate_z, translate_x
+
+def pose(p, q):
+    {line}
+
+problem = Problem(Robot("r", 2, pose, {{}}), DialOnPlane(noise_std=0.01))
+"""
+
+
+@pytest.mark.parametrize("command", ["simulate", "plan"])
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("return chain(rotate_z(q[0]), translate_x(p.L))", "line 6: pose of 'r' failed with AttributeError"),
+        ("if q[0] > 0: return chain()", "line 6: pose of 'r' failed with RuntimeError"),
+        ("pass", "problem.py: pose of 'r' failed with TypeError: it returns nothing."),
+        ("return chain(rotate_z(q[0]))[:3, :3]", "pose of 'r' has the shape (3, 3)"),
+        ("return chain(rotate_z(math.sin(q[0])), translate_x(9))", "The tip of 'r' is not finite in any posture"),
+    ],
+)
+def test_a_slip_in_pose_is_one_line_of_every_command(run, tmp_path, command, line, says):
+    (tmp_path / "problem.py").write_text(SLIP.format(line=line))
+    code, out, err = run(command, tmp_path, "--out", tmp_path / "out.csv")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert says in err
+    assert not (tmp_path / "out.csv").exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
@@ -262,6 +292,7 @@ def test_bad_problem_files_are_refused_in_one_line(run, tmp_path, name):
         (["nonsense"], "invalid choice"),
         (["calibrate"], "PROBLEM"),
         (["calibrate", "nowhere"], "no problem at 'nowhere'"),
+        (["predict", "result.json", "at.csv", "--out", "-"], "--out - names no file. Standard output is /dev/stdout"),
         (["calibrate", HSR, "none.csv"], "no such file"),
         (["calibrate", HSR, "--method", "magic"], "magic"),
         (["calibrate", HSR, "--holdout", "1"], "fraction"),

@@ -170,6 +170,8 @@ def test_every_way_to_miss_is_named(result):
     assert 0 < found.residual_mm[1] < found.correction_mm[1]  # as near as the limit allows
     np.testing.assert_allclose(found.joints[2], at[2], atol=1e-8)  # a jump is not taken
     assert found.residual_mm[2] == pytest.approx(found.correction_mm[2], abs=1e-6)
+    strict = compensate(result, targets_of(at), largest=1e-7)
+    assert [o.value for o in strict.outcomes[::2]] == ["beyond the largest correction", "singular"]
 
 
 def test_poses_out_of_reach_are_reported_with_and_without_a_branch(result):
@@ -179,6 +181,7 @@ def test_poses_out_of_reach_are_reported_with_and_without_a_branch(result):
     found = compensate(result, blank)
     assert [o.value for o in found.outcomes] == ["unreachable", "reached"]
     assert np.isnan(found.joints[0]).all()
+    assert "no posture takes the pose\n" in text_of(found, "krl", result)
     led = compensate(result, replace(blank, joints=found.joints[[1, 1]]))
     assert not led.reached[0]
     assert led.reached[1]
@@ -193,7 +196,7 @@ def test_a_model_that_gives_no_number_is_reported():
     found = compensate(made, targets_of([[0.1, 0.2], [0.1, 0.0]]))
     assert found.outcomes == (Outcome.REACHED, Outcome.NOT_FINITE)
     np.testing.assert_allclose(found.joints[1], [0.1, 0.0], atol=1e-8)
-    assert "nan" in text_of(found, "csv", made)
+    assert "nan" not in text_of(found, "csv", made)
 
 
 def test_a_batch_is_its_rows(result):

@@ -3,15 +3,17 @@
 import math
 import pickle
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from conftest import ROOT
 from measured_world import World, taken
 from scipy.optimize import least_squares
-from scipy.stats import multivariate_normal
+from scipy.stats import chi2, multivariate_normal
 
 from casacal import CasacalError, Session, bind, lm, load_problem, plan
+from casacal.measuring.conversation import ended
 from casacal.measuring.linear import LinearRows, error_below, expected_error, spectrum
 from casacal.measuring.touch import rows_of
 from casacal.planning.clearance import Clearance, nodes_of
@@ -158,6 +160,21 @@ def test_an_early_slip_is_named_when_the_arm_is_known(hsr, route, world):
     assert innocent <= 2
     assert named.slip.kind == "revolution"
     assert session.correct(named).alarm is None
+
+
+def test_touches_kept_to_verify_that_do_not_agree_are_said_so(hsr, route, late):
+    """One alone against SciPy's chi-square; several together that are off as far as a turn of the pointer."""
+    touches = list(late.touches)
+    kept = [k for k, touch in enumerate(touches) if touch.purpose == "check"]
+    rest = [touch for k, touch in enumerate(touches) if k not in kept]
+    one = late.resumed([*rest, touches[kept[0]]])
+    (off,), (std,) = one.checked()
+    assert one.checked_chance() == pytest.approx(chi2.sf(float(off[0] / std[0]) ** 2, 1), rel=1e-6)
+    assert not any("do not agree" in line for line in ended(late))
+    moved = [replace(touches[k], columns={"reading": touches[k].columns["reading"] + 1.0}) for k in kept]
+    said = ended(late.resumed([*rest, *moved]))
+    assert any("warning: so far off they do not agree" in line and "casacal check" in line for line in said)
+    assert late.resumed(rest).checked_chance() == 1.0
 
 
 @pytest.mark.long

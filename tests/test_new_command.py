@@ -161,7 +161,9 @@ def test_refusals_leave_nothing_behind(place, capsys, arguments, says):
 
 
 def test_remarks_that_look_like_settings_are_told_and_travel_is_to_be_filled_in(place, capsys):
-    (place / "noted.csv").write_text(UR5_CSV.replace("# convention", "# units: m\n# convention", 1))
+    (place / "noted.csv").write_text(
+        UR5_CSV.replace("# convention", "# units: m\n# units: mm\n# casacal: made\n# convention", 1)
+    )
     assert main(["new", "noted", "--dh", "noted.csv"]) == 0
     said = capsys.readouterr().out
     assert "Taken for remarks, not for settings: units. Known are name, convention" in " ".join(said.split())

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -18,8 +19,9 @@ from hears_signals import hears_signals
 
 from casacal import CasacalError
 from casacal.calibration.result_json import FILES
+from casacal.cli.interrupts import heard
 from casacal.cli.main import main
-from casacal.files import PREFIX, mark_of_this_run, side_by_side, together, write_text
+from casacal.files import PREFIX, check_writable, mark_of_this_run, side_by_side, together, write_text
 
 HSR = ROOT / "problems" / "hsr_jr680"
 KILLS = int(os.environ.get("CASACAL_KILLS", "2"))
@@ -106,6 +108,31 @@ def test_all_files_take_their_places_or_none(tmp_path):
     assert not (tmp_path / "deep" / "er").exists()
 
 
+@pytest.mark.skipif(os.name == "nt", reason="devices of POSIX")
+def test_a_file_may_be_a_pipe():
+    code = "from casacal.files import write_text; write_text('/dev/stdout', 'all of it')"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, env=environment, check=True)
+    assert ran.stdout == b"all of it"
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="a folder where even root may not write")
+@pytest.mark.parametrize(("command", "name"), [("calibrate", "/proc/x"), ("simulate", "/proc/x.csv")])
+def test_a_place_that_cannot_be_written_is_named_and_before_a_fit(command, name, capsys):
+    assert main([command, str(HSR), "--out", name]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith(f"casacal: '{name}' cannot be written (")
+
+
+def test_trying_whether_a_folder_can_be_written_leaves_nothing(tmp_path):
+    check_writable(tmp_path / "deep" / "er")
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(CasacalError, match=r"'.*file.er' cannot be written"):
+        check_writable(tmp_path / "file" / "er")
+
+
 def test_a_signal_waits_until_all_files_are_placed(tmp_path, monkeypatch):
     moves, move = [], shutil.move
 
@@ -126,6 +153,33 @@ def test_a_signal_waits_until_all_files_are_placed(tmp_path, monkeypatch):
     thread.start()
     thread.join()
     assert (tmp_path / "t" / "a").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize("goes_on", [5.0, 0.0])
+def test_an_interrupt_that_something_swallows_still_ends_the_run(goes_on):
+    """It comes again while the run goes on, not while it tidies up, and at the end of a run that was quicker."""
+    seen = []
+
+    def run():
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        try:
+            time.sleep(goes_on)
+            seen.append("went on")
+        finally:
+            time.sleep(0.3 if goes_on else 0.0)
+            seen.append("tidied up")
+        return 0
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever started these tests may ignore it
+    alarm = signal.getsignal(signal.SIGALRM)
+    with pytest.raises(KeyboardInterrupt):
+        heard(run)
+    assert seen == (["tidied up"] if goes_on else ["went on", "tidied up"])
+    assert signal.signal(signal.SIGINT, before) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGALRM) is alarm
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
 
 def fill_the_disk(folder):

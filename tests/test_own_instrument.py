@@ -320,6 +320,7 @@ def bind_count(problem):
         (('{"post": Parameter(POST, prior_std=5.0)}', '{"post": 3.0}'), "'post' of DrawWire is a float"),
         (("**ARM), DrawWire())", "**ARM), DrawWire)"), "Got the class DrawWire"),
         (("**ARM), DrawWire())", "**ARM), [DrawWire()])"), "Got a list as an instrument"),
+        (("- p.post)", "- p.pots)"), "problem.py, line 15: residual of 'DrawWire' failed with AttributeError"),
         ((" - row.wire", ""), "does not depend on what it reads, its column 'wire'"),
         (
             ('problem = Problem(Robot.from_dh("small", **ARM), DrawWire())', 'problem = "x"'),

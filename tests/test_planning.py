@@ -221,7 +221,7 @@ def test_so_many_touches_as_a_tolerance_takes(hsr):
         ({"again": -0.1}, "as the part 'again'"),
         ({"check": 0.6, "again": 0.39}, "Fewer than three of"),
         ({"targets": [[1.0, 2.0]]}, "Targets have the shape"),
-        ({"box": ((0, 1), (0, 1), (5, 4))}, "is empty"),
+        ({"box": ((0, 1), (0, 1), (5, 4))}, "The box 0:1,0:1,5:4 is empty"),
         ({"box": ((0, 1), (0, 1), (4, 5)), "targets": [[0.0] * 6]}, "Got a box and targets"),
     ],
 )

@@ -120,7 +120,7 @@ def test_what_fixes_no_frame_is_said(cornered):
         ({}, "from three faces or from three points"),
         ({"faces": FACES[:2]}, "from three faces or from three points"),
         ({"faces": FACES, "points": ("1", "2", "3")}, "from three faces or from three points"),
-        ({"faces": ("floor", "floor", "wall")}, "from three faces or from three points"),
+        ({"faces": ("floor", "floor", "wall")}, "'floor' is named twice"),
         ({"faces": set(FACES)}, "from three faces or from three points"),
         ({"points": "123"}, "from three faces or from three points"),
         ({"points": (1, 2, 3)}, "from three faces or from three points"),
@@ -163,6 +163,7 @@ def test_the_command_line_writes_it(tmp_path, capsys):
     for wrong, said in (
         ([], "Name three of either"),
         (["--faces", "floor,wall,roof"], "roof"),
+        (["--faces", "floor,wall,wall"], "'wall' is named twice"),
     ):
         place.unlink(missing_ok=True)
         assert main([*command, *wrong]) == 2

@@ -24,7 +24,8 @@ from casacal.uncertainty.noise import found_noise
 from casacal.uncertainty.prior_moves import DULL
 from casacal.unknowns import Parameter
 
-WIDE = {"rad": "0.1", "mm": "20"}  # prior under which `calibrate` tries another number, by unit
+WIDE = {"rad": 0.1, "mm": 20.0}  # smallest prior under which `calibrate` tries another number, by unit
+TWISTS = "alpha", "beta"  # angles of a DH table that no mastering moves
 WRONG = 5.0  # prior standard deviations from the drawing at which a number is another, not an error of manufacture
 SURE = 3.0  # standard deviations, with the noise as found, by which it must lie beyond
 
@@ -75,7 +76,7 @@ def wrong_number(bound: BoundProblem, *, alone: bool = False) -> list[Finding]:
                 f"{name} seems to differ from the problem file{_by(bound.problem, key, name, by)}, which is "
                 f"{abs(by) / prior:.2g} prior standard deviations; no other parameter is so far off"
             )
-            return [Finding("error", f"{name} elsewhere", cause, _fix(name, unit))]
+            return [Finding("error", f"{name} elsewhere", cause, _fix(name, unit) + _tried(name, unit, by))]
     return []
 
 
@@ -144,14 +145,14 @@ def _priors(problem: Problem) -> Iterator[tuple[str, str, float, str]]:
 
 def _freed(problem: Problem, samples: Samples, *, name: str) -> Undone:
     """The number free of its prior, and where the samples put it, so that further fits begin there."""
-    key = next(key for each, key, _, _ in _priors(problem) if each == name)
+    key, unit = next((key, unit) for each, key, _, unit in _priors(problem) if each == name)
     freed = problem.with_prior({name: math.inf})
     fitted = quick_fit(freed, samples)
     if fitted is None:
         return Undone(problem, samples)
     bound, result = fitted
     by = float(result.x[bound.names.index(name)])
-    return Undone(freed, samples, _by(problem, key, name, by), result.x)
+    return Undone(freed, samples, _by(problem, key, name, by) + _tried(name, unit, by), result.x)
 
 
 def _by(problem: Problem, key: str, name: str, by: float) -> str:
@@ -166,5 +167,13 @@ def _by(problem: Problem, key: str, name: str, by: float) -> str:
 
 
 def _fix(name: str, unit: str) -> str:
-    tried = f" (--prior {name}={WIDE[unit]} tries it)" if unit in WIDE else ""
-    return f"Correct {name} in the problem file, or re-master that joint{tried}"
+    mastered = unit == "rad" and not name.startswith(TWISTS)
+    return f"Correct {name} in the problem file{', or re-master that joint' if mastered else ''}"
+
+
+def _tried(name: str, unit: str, by: float) -> str:
+    """Which prior lets `calibrate` try it: at least as wide as the number is far away, in one digit."""
+    if unit not in WIDE:
+        return ""
+    digit = 10.0 ** math.floor(math.log10(max(abs(by), WIDE[unit])))
+    return f" (--prior {name}={math.ceil(max(abs(by), WIDE[unit]) / digit) * digit:g} tries it)"

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from casacal.errors import CasacalError
+from casacal.files import check_writable
 
 if TYPE_CHECKING:
     from casacal.compensation.arm import CalibratedArm
@@ -139,9 +140,10 @@ def read_arm(options: argparse.Namespace, *inputs: str | None) -> CalibratedArm:
 
 
 def check_folder(option: str, place: str) -> None:
-    """Raise CasacalError for what cannot be a folder that is written to."""
+    """Raise CasacalError for what cannot be a folder that is written to, before anything is computed for it."""
     if not place.strip() or (Path(place).exists() and not Path(place).is_dir()):
         raise CasacalError(f"{option} '{place}' is no folder", "Name a folder, or one that does not exist yet")
+    check_writable(Path(place))
 
 
 def made_from(result: CalibratedArm) -> list[Path]:

@@ -69,9 +69,8 @@ def run(options: argparse.Namespace) -> int:
         say_json({"targets": len(targets), "missed": lost, "verdict": verdict, "notes": said, "written": [options.out]})
         return FAILED if missed else DONE
     said += [
-        f"Not reached: line {one['line']}, {one['outcome']}: {one['meaning']}; {one['residual_mm']:.3f} mm and "
-        f"{one['residual_mrad']:.3f} mrad remain at the {compensation.frame}"
-        for one in lost[:SHOWN]
+        f"Not reached: line {one['line']}, {one['outcome']}: {one['meaning']}{compensation.left(i)}"
+        for i, one in zip(missed[:SHOWN], lost, strict=False)
     ]
     if len(missed) > SHOWN:
         said.append(f"... and {len(missed) - SHOWN} more; the file's column status names them all")

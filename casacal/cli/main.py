@@ -30,6 +30,7 @@ from casacal.cli import (
     verify,
 )
 from casacal.cli.common import BAD_INPUT, DONE, INTERRUPTED
+from casacal.cli.interrupts import heard
 from casacal.cli.terminal import complain, finish, prepare
 from casacal.errors import CasacalError
 from casacal.threads import one_thread_each
@@ -103,6 +104,8 @@ def _caught(typed: list[str]) -> int:
             parser.error("a COMMAND is missing")
         if getattr(options, "out", None) is not None and not options.out.strip():
             raise CasacalError("--out is empty", "Name where the answer is to be written")
+        if getattr(options, "out", None) == "-":
+            raise CasacalError("--out - names no file", "Standard output is /dev/stdout, a file of that name ./-")
         options.typed, options.parser = shlex.join(["casacal", *typed]), parser
         return _answer(options)
     except CasacalError as error:
@@ -131,6 +134,6 @@ def _ranges_joined(typed: list[str]) -> list[str]:
 
 def _answer(options: argparse.Namespace) -> int:
     try:
-        return int(options.run(options))
+        return heard(lambda: int(options.run(options)))
     except SystemExit as end:
         raise CasacalError("Code of the problem's own ends the program (sys.exit)", "Take that out of it") from end

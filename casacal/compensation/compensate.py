@@ -53,7 +53,7 @@ def compensate(
         targets: joint values or poses, also as numbers, a frame or a file. An effect that further columns tell
             (torques, a payload) is corrected where they have these.
         frame: what poses are of: "flange" is `robot.pose`, "tip" where the instrument touches at reading zero.
-        largest: joint motion (rad, or mm over 300) beyond which a row counts as singular, not as reached.
+        largest: joint motion (rad, or mm over 300) beyond which a row counts as a jump, not as reached.
         rounding: how the joint values will be written; the proof is about these.
         force: take a result whose verdict is not to use it; nothing is then expected of its accuracy (NaN).
 
@@ -76,8 +76,7 @@ def compensate(
     nominal = PosedArm.of(drawn, local_coordinates(result, nominal=True), frame, row_constants(result, drawn))
     told = Told.by(result, rows_with(targets, np.arange(len(targets)), np.zeros((len(targets), len(drawn.robot.axes)))))
     told.arm.check_usable(force=force)
-    if told.arm.denial is None:
-        _trusted(told.arm, frame)
+    _trusted(told.arm, frame)
     used, local = told.arm.used, local_coordinates(told.arm, of=told.arm.used)
     arm = replace(nominal, local=local)
     if used.effects:
@@ -91,15 +90,16 @@ def compensate(
     moved = np.abs((joints - began) / joint_units(arm.robot)).max(axis=1)
     jumps: Rows = np.asarray(moved > largest)
     limited = arm.at_limit(joints, positions, rotations) & ~jumps
+    beyond: Rows = jumps & (moved <= LARGEST) & arm.takes(joints, positions, rotations)
     joints = rounding(arm, np.where(jumps[:, None] | ~found[:, None], start, joints))
-    denied = told.arm.denial is not None
-    place, turn, expected = _proof(result, arm, targets, joints, positions, rotations, denied=denied)
+    place, turn, expected = _proof(result, arm, targets, joints, positions, rotations, told.arm.denial is not None)
     cases = (
         (~found, Outcome.UNREACHABLE),
         (~np.isfinite(place + turn), Outcome.NOT_FINITE),
         (_outside(arm, targets), Outcome.OUTSIDE),
         (arm.within(place, turn) & ~jumps, Outcome.REACHED),
         (limited, Outcome.LIMIT),
+        (beyond, Outcome.BEYOND),
         (jumps | elsewhere, Outcome.SINGULAR),
         (np.ones(len(joints), dtype=bool), Outcome.UNREACHABLE),
     )
@@ -111,7 +111,9 @@ def compensate(
 
 
 def _trusted(result: CalibratedArm, frame: str) -> None:
-    """Refuse a result that is no calibrated robot."""
+    """Refuse a result that is no calibrated robot, unless it is forced, which the file then says."""
+    if result.denial is not None:
+        return
     if not result.document.get("converged", False):
         raise CasacalError(f"{result.file}: the calibration did not converge", "Calibrate again before moving a robot")
     keys = list(result.source.problem.robot.parameters)
@@ -171,7 +173,6 @@ def _proof(
     joints: Array,
     positions: Array,
     rotations: Array,
-    *,
     denied: bool,
 ) -> tuple[Array, Array, Array]:
     """Miss (mm; rad) and standard deviation (mm) of the calibrated robot at joint values, by `predict` alone."""

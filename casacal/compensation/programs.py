@@ -63,9 +63,7 @@ class Language:
                 joints = self.written(compensation.joints[i], self.rounding.decimals)
                 lines.append(f"  {self.move.format(joints)}")
             else:
-                left = f"{compensation.residual_mm[i]:.3f} mm, {1e3 * compensation.residual_rad[i]:.3f} mrad remain"
-                left += f" at the {compensation.frame}"
-                lines.append(f"  {self.comment} no move: {outcome.value}: {outcome.meaning}; {left}")
+                lines.append(f"  {self.comment} no move: {outcome.value}: {outcome.meaning}{compensation.left(i)}")
         return "\n".join([*lines, *self.end]) + "\n"
 
 
@@ -195,9 +193,14 @@ def _table(compensation: Compensation, result: CalibratedArm) -> Iterator[str]:
     for line, joints, outcome, row in zip(
         compensation.targets.lines, written, compensation.outcomes, figures, strict=True
     ):
-        cells = [f"{value:.{compensation.rounding.decimals}f}" for value in joints]
-        known = [f"{value:.6f}" for value in row[:-1]] + ["" if denied else f"{row[-1]:.6f}"]
+        cells = [_cell(value, compensation.rounding.decimals) for value in joints]
+        known = [_cell(value, 6) for value in row[:-1]] + ["" if denied else _cell(row[-1], 6)]
         yield ",".join([str(line), *cells, outcome.value, *known])
+
+
+def _cell(value: float, decimals: int) -> str:
+    """A number of the table; nothing where it is not known."""
+    return f"{value:.{decimals}f}" if math.isfinite(value) else ""
 
 
 def in_comments(note: str) -> list[str]:

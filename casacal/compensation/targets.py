@@ -151,6 +151,7 @@ class Outcome(Enum):
 
     REACHED = "reached", "the calibrated robot takes the pose"
     LIMIT = "at a joint limit", "a joint would have to pass its limit"
+    BEYOND = "beyond the largest correction", "a joint would have to move by more than the largest correction allowed"
     SINGULAR = "singular", "near a singularity: no small joint motion takes the pose"
     UNREACHABLE = "unreachable", "no posture takes the pose"
     OUTSIDE = "outside the joint limits", "the target's own joint values are outside the limits"
@@ -219,3 +220,8 @@ class Compensation(Value):
     def reached(self) -> Rows:
         """Which rows the calibrated robot reaches."""
         return np.array([outcome is Outcome.REACHED for outcome in self.outcomes])
+
+    def left(self, i: int) -> str:
+        """What remains at a row that is not reached, as the end of a sentence; nothing where that is not known."""
+        mm, mrad = self.residual_mm[i], 1e3 * self.residual_rad[i]
+        return f"; {mm:.3f} mm and {mrad:.3f} mrad remain at the {self.frame}" if math.isfinite(mm + mrad) else ""

@@ -62,8 +62,10 @@ def work_frame(
     result = arm_from(result)
     labels, build = (faces, _of_faces) if faces is not None else (points, _of_points)
     named = isinstance(labels, (tuple, list)) and all(isinstance(label, str) for label in labels)
-    if (faces is None) == (points is None) or labels is None or not named or len(set(labels)) != 3 or len(labels) != 3:
+    if (faces is None) == (points is None) or labels is None or not named or len(labels) != 3:
         raise CasacalError("A work object's frame comes from three faces or from three points", "Name three of either")
+    if twice := [label for label in labels if labels.count(label) > 1]:
+        raise CasacalError(f"'{twice[0]}' is named twice", "Name three different faces, or three different points")
     places, names = _faces(result, labels) if faces is not None else _points(result, labels)
     matrix = build(places(np.zeros(len(names))))
     if result.denial is not None or "covariance" not in result.document:

@@ -16,6 +16,7 @@ from casacal.measuring.touch import Touch, rows_of
 from casacal.planning.choice import row_slopes
 from casacal.planning.exchange import gains
 from casacal.samples.samples import Samples
+from casacal.uncertainty.fresh_rows import chance
 from casacal.values import Value
 
 SURE = 0.95  # part of all arms whose error stays below what is promised
@@ -83,6 +84,13 @@ def innovations_at(known: Known, touches: Sequence[Touch]) -> tuple[Array, Array
     rows, told = LinearRows.of(known, touches), Told.by(known.belief)
     off, stds = zip(*(rows.off(told, k) for k in range(len(touches))), strict=True)
     return np.array(off), np.array(stds)
+
+
+def chance_of(known: Known, touches: Sequence[Touch]) -> float:
+    """Chance that touches are together so far off where all is as is known: chi-square, what they share counted."""
+    rows, told = LinearRows.of(known, touches), Told.by(known.belief)
+    value, spread = told.of(rows.residual.ravel(), rows.slope.reshape(-1, told.shift.size))
+    return chance(square(value, spread), len(value))
 
 
 def log_density(value: Array, spread: Array) -> float:

@@ -11,7 +11,7 @@ from casacal.errors import CasacalError, came
 from casacal.estimators.sckf import Belief
 from casacal.measuring.examine import Alarm, Setting, State
 from casacal.measuring.known import Known, counts, known_before, places_of, telling
-from casacal.measuring.linear import POOL, Pool, error_below, expected_error, innovations_at, spectrum
+from casacal.measuring.linear import POOL, Pool, chance_of, error_below, expected_error, innovations_at, spectrum
 from casacal.measuring.touch import Slip, Touch, rows_of, slips_of
 from casacal.planning.choice import pool_of, refuse_several, wanted_field, wanted_joints
 from casacal.planning.clearance import Clearance
@@ -159,9 +159,19 @@ class Standing(Value):
 
     def checked(self) -> tuple[Array, Array] | None:
         """By how much touches kept for checking are off, and its standard deviation (touches, m), mm, or None."""
-        known, of_check = self.state.known, (touch for touch in self.touches if touch.purpose == CHECK)
-        kept = [touch for touch in of_check if known is not None and known.knows(touch)]
+        known, kept = self.state.known, self._kept
         return None if known is None or not kept else innovations_at(known, kept)
+
+    def checked_chance(self) -> float:
+        """Chance that they are together so far off if all is well; one where there are none."""
+        known, kept = self.state.known, self._kept
+        return 1.0 if known is None or not kept else chance_of(known, kept)
+
+    @property
+    def _kept(self) -> list[Touch]:
+        """Touches kept for checking of which something is known."""
+        known, of_check = self.state.known, (touch for touch in self.touches if touch.purpose == CHECK)
+        return [touch for touch in of_check if known is not None and known.knows(touch)]
 
     @cached_property
     def field(self) -> Array | None:

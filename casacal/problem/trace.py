@@ -18,10 +18,11 @@ from typing import Any
 import casadi as ca
 
 from casacal.discrepancy.effect import Effect, Here, Site
-from casacal.errors import ProblemError, said
+from casacal.errors import ProblemError
 from casacal.instruments import Instrument
-from casacal.kinematics import Expression, Product
+from casacal.kinematics import Expression
 from casacal.robots.robot import Robot
+from casacal.robots.traced_pose import traced
 from casacal.unknowns import Unknown
 from casacal.values import FrozenMapping, Value
 
@@ -120,13 +121,13 @@ class Trace(Value):
         """What the functions build of other values p."""
         robot, instrument, columns, q = self.robot, self.instrument, self.columns, self.q
         p, row, kind = SimpleNamespace(**values), SimpleNamespace(**columns), type(instrument).__name__
-        pose = _traced(robot.pose, "pose", robot.name, (4, 4), p, q)
+        pose = traced(robot.pose, "pose", robot.name, (4, 4), p, q)
         if self.acting:
             pose, row = _with_effects(Here(robot, instrument, p, q, pose, row), self.acting, columns)
-        residual = _traced(instrument.residual, "residual", kind, None, pose, p, row)
+        residual = traced(instrument.residual, "residual", kind, None, pose, p, row)
         here = Here(robot, instrument, p, q, pose, SimpleNamespace(**columns))
         for effect in self.acting:
-            found = _traced(effect.residual, "residual", effect.words, None, here, optional=True)
+            found = traced(effect.residual, "residual", effect.words, None, here, optional=True)
             residual += _in_its_unit(instrument, residual, found, effect.words)
         read = list(instrument.columns)
         if read and not any(ca.depends_on(ca.SX(residual), columns[name]) for name in read):
@@ -134,7 +135,7 @@ class Trace(Value):
                 f"The residual of {kind} does not depend on what it reads, its column '{read[0]}'",
                 f"Use {', '.join(f'row.{name}' for name in read)}, or declare no columns",
             )
-        tip = _traced(instrument.tip, "tip", kind, (3, 1), pose, p, row)
+        tip = traced(instrument.tip, "tip", kind, (3, 1), pose, p, row)
         plunger = instrument.plunger_direction(pose, p)
         return Seen(pose, tip, residual, None if plunger is None else ca.SX(plunger))
 
@@ -178,11 +179,11 @@ def _with_effects(
 ) -> tuple[Expression, SimpleNamespace]:
     """Flange pose and row as they truly are, where joints, flange and readings err."""
     robot, count = here.robot, len(here.robot.axes)
-    off = [_traced(effect.joints, "joints", effect.words, None, here, optional=True) for effect in effects]
+    off = [traced(effect.joints, "joints", effect.words, None, here, optional=True) for effect in effects]
     moved = [each for each in off if each.numel() == count]
     if moved:
         q = here.q + sum(moved, ca.SX.zeros(count))
-        here = replace(here, pose=_traced(robot.pose, "pose", robot.name, (4, 4), here.p, q))
+        here = replace(here, pose=traced(robot.pose, "pose", robot.name, (4, 4), here.p, q))
     read = dict(columns)
     for effect in effects:
         if (changed := effect.pose(here)) is not None:
@@ -205,23 +206,3 @@ def _in_its_unit(instrument: Instrument, residual: Expression, found: ca.SX, wor
         raise ProblemError(what, f"It must have one, or the {sum(alike)} of the instrument's residual")
     each = iter(range(found.numel()))
     return ca.vertcat(*(found[next(each)] if one else 0 for one in alike))
-
-
-def _traced(
-    call: Any, what: str, owner: str, shape: tuple[int, int] | None, *arguments: Any, optional: bool = False
-) -> Any:
-    """What a user's function builds, of that shape or a column; nothing (0, 1) for None where it is optional."""
-    try:
-        built = call(*arguments)
-        built = ca.SX(0, 1) if optional and built is None else built
-        value = built if isinstance(built, Product) else ca.SX(built)
-        found = value.shape  # a product is multiplied out here, so that factors that do not fit are found
-    except (Exception, SystemExit) as error:  # whatever a user's function raises, it is their file that must change
-        raise ProblemError(
-            f"{what} of '{owner}' failed with {said(error)}",
-            "It must build CasADi expressions from its arguments; see casacal.kinematics",
-        ) from error
-    if found != shape and (shape is not None or found[1] != 1):
-        wanted = "a scalar or a column" if shape is None else f"{shape}"
-        raise ProblemError(f"{what} of '{owner}' has the shape {found}", f"It must be {wanted}")
-    return value

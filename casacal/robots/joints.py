@@ -42,7 +42,9 @@ class Joint:
             raise ProblemError(f"A joint is '{self.kind}'", "Joints are 'revolute' or 'prismatic'")
         if not self.lower < self.upper or not math.isfinite(self.upper - self.lower):
             fix = "Give finite limits, lower below upper"
-            raise ProblemError(f"A joint has the limits {self.lower!r} to {self.upper!r}", fix)
+            factor, unit = (math.degrees(1), "degrees") if self.turns else (1.0, "mm")
+            what = f"A joint has the limits {self.lower * factor:g} to {self.upper * factor:g} {unit}"
+            raise ProblemError(what, fix)
         if not (is_real(self.repeatability_std) and 0 <= self.repeatability_std < math.inf):
             raise ProblemError(f"A joint has repeatability_std {self.repeatability_std!r}", "Give zero or more")
         if not (is_real(self.gear_ratio) and (self.gear_ratio == 0 or 1 <= self.gear_ratio <= MOST_RATIO)):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -17,7 +17,7 @@ from casacal.robots.dh_table import DHTable, Stds
 from casacal.robots.files.dh_file import read_dh_file
 from casacal.robots.function_pose import FromFunction
 from casacal.robots.joints import Conventions, Joint, joints_of
-from casacal.robots.traced_pose import Screws, TracedPose, travels, triples
+from casacal.robots.traced_pose import Screws, TracedPose, traced, travels, triples
 from casacal.robots.urdf_chain import UrdfChain
 from casacal.unknowns import Unknown
 from casacal.values import FrozenMapping, Value, alike, read_only, short
@@ -78,8 +78,9 @@ class Robot(Value, FromFunction):
 
     @cached_property
     def traced(self) -> TracedPose:
-        """The pose function as a graph; lets pass what the function raises."""
-        return TracedPose.of(self.pose, self.parameters, len(self.axes))
+        """The pose function as a graph; raises ProblemError when it fails."""
+        pose = partial(traced, self.pose, "pose", self.name, (4, 4))
+        return TracedPose.of(pose, self.parameters, len(self.axes))
 
     def with_gear_ratios(self, *ratios: float) -> Robot:
         """The same arm, its motors' turns for one of each joint known; 0 where not; raises ProblemError."""

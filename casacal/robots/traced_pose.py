@@ -7,18 +7,20 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from casacal.errors import ProblemError
+from casacal.errors import ProblemError, said
 from casacal.kinematics import Expression, Product, chain, position, screw, slide
 from casacal.robots.joints import Conventions, Joint
 from casacal.unknowns import Direction, Frame, Parameter, Unknown
 from casacal.unknowns.fits import packed_symbols
 from casacal.unknowns.unknown import PRIOR_STD
+from casacal.user_code import line_of
 from casacal.values import FrozenMapping, Value
 
 Triple = tuple[float, float, float]
@@ -143,6 +145,33 @@ class TracedPose(Value):
 
     def __hash__(self) -> int:
         return hash(self.text)
+
+
+def traced(
+    call: Any, what: str, owner: str, shape: tuple[int, int] | None, *arguments: Any, optional: bool = False
+) -> Any:
+    """What a user's function builds, of that shape or a column; nothing (0, 1) for None where it is optional.
+
+    Raises ProblemError, with the line of the user's file where that is known, when it fails or builds another shape.
+    """
+    try:
+        built = call(*arguments)
+        if built is None and not optional:
+            raise TypeError("it returns nothing")
+        built = ca.SX(0, 1) if built is None else built
+        value = built if isinstance(built, Product) else ca.SX(built)
+        found = value.shape  # a product is multiplied out here, so that factors that do not fit are found
+    except (Exception, SystemExit) as error:  # whatever a user's function raises, it is their file that must change
+        code = None if str(call.__module__).startswith("casacal.") else getattr(call, "__code__", None)
+        place = f"{line_of(Path(code.co_filename), error)}: " if code else ""
+        raise ProblemError(
+            f"{place}{what} of '{owner}' failed with {said(error)}",
+            "It must build CasADi expressions from its arguments; see casacal.kinematics",
+        ) from error
+    if found != shape and (shape is not None or found[1] != 1):
+        wanted = "a scalar or a column" if shape is None else f"{shape}"
+        raise ProblemError(f"{what} of '{owner}' has the shape {found}", f"It must be {wanted}")
+    return value
 
 
 def travels(function: Callable[..., Any]) -> bool:

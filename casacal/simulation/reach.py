@@ -15,8 +15,9 @@ from casacal.errors import SimulationError
 from casacal.instruments import Instrument
 from casacal.instruments.description import Probe
 from casacal.kernels.batch import Batch
-from casacal.robots.joint_space import AXIS_WEIGHT, inside_limits
+from casacal.robots.joint_space import AXIS_WEIGHT, inside_limits, random_joints
 from casacal.robots.robot import Robot
+from casacal.robots.traced_pose import traced
 
 ARRIVED = 1e-16
 """Squared miss (mm^2) below which a tip counts as arrived: no target needs more, and no machine's rounding less."""
@@ -45,9 +46,10 @@ class Touch:
         nominal: dict[str, Any] = {key: unknown.nominal for key, unknown in unknowns.items()}
         p = SimpleNamespace(**{key: unknown.at(ca.DM(nominal[key]), z[key]) for key, unknown in unknowns.items()})
         q, reading = ca.SX.sym("q", len(robot.axes)), ca.SX.sym("r")
-        pose = robot.pose(p, q)
+        pose = traced(robot.pose, "pose", robot.name, (4, 4), p, q)
         row = SimpleNamespace(**({} if probe.column is None else {probe.column: reading}))
-        tip, axis = instrument.tip(pose, p, row), instrument.plunger_direction(pose, p)
+        tip = traced(instrument.tip, "tip", type(instrument).__name__, (3, 1), pose, p, row)
+        axis = instrument.plunger_direction(pose, p)
         if axis is None:
             raise SimulationError(
                 f"{type(instrument).__name__} touches faces and says no direction of its plunger",
@@ -59,7 +61,14 @@ class Touch:
             inputs = [ca.vertcat(*z.values()), q, reading]
             return Batch(ca.Function("touch", inputs, [ca.densify(o) for o in ca.cse(outputs)]))
 
-        return Touch(robot, batch(place), batch(place + slopes), np.concatenate([local[key] for key in unknowns]))
+        touch = Touch(robot, batch(place), batch(place + slopes), np.concatenate([local[key] for key in unknowns]))
+        tips, *_ = touch(random_joints(robot, 20, np.random.default_rng(0)), np.zeros(20))
+        if not np.isfinite(tips).all(axis=1).any():
+            raise SimulationError(
+                f"The tip of '{robot.name}' is not finite in any posture",
+                "Let pose build on q and p with casadi.sin and the like: math and float() of them give no numbers",
+            )
+        return touch
 
     def __call__(self, joints: Array, readings: Array) -> tuple[Array, Array, Array, Array]:
         """Tips (N, 3), directions (N, 3) and their slopes by the joints, each (N, 3, n)."""

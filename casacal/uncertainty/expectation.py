@@ -94,7 +94,8 @@ def joints_in_box(bound: Seen, x: Array, box: Box) -> Array:
     """Random joint values (M, n; rad, mm) at which the tip is inside a box; CasacalError where it hardly gets there."""
     low, high = np.array(box).T
     if not (low < high).all():
-        raise CasacalError(f"The box {box} is empty", "Give each range as LOW:HIGH in mm")
+        ranges = ",".join(f"{lower:g}:{upper:g}" for lower, upper in box)
+        raise CasacalError(f"The box {ranges} is empty", "Give each range as LOW:HIGH in mm")
     tried = random_joints(bound.problem.robot, TRIES, np.random.default_rng(0))
     tips = bound.tips(x, tried)
     joints = tried[((tips >= low) & (tips <= high)).all(axis=1)][:WORKSPACE_POSES]

@@ -78,6 +78,7 @@ def table_of(fields: Fields) -> DHTable:
         raise ProblemError(f"{fields.file}: the largest length is {largest:g} mm", fix)
     joints = tuple(joint_of(fields, i) for i in range(len(fields.rows)))
     parallel, beta = _parallel(fields)
+    conventions = conventions_of(fields, joints)
     try:
         return DHTable(
             name=fields.block.get("name") or fields.file.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0],
@@ -85,7 +86,7 @@ def table_of(fields: Fields) -> DHTable:
             convention=convention,
             parallel=parallel,
             beta=beta,
-            conventions=conventions_of(fields, joints),
+            conventions=conventions,
             **columns,  # type: ignore[arg-type]
         )
     except ProblemError as error:
@@ -97,13 +98,14 @@ def conventions_of(fields: Fields, joints: Sequence[Joint]) -> Conventions | Non
     block, count = fields.block, len(joints)
     if not {"signs", *OFFSETS, "coupling"} & set(block):
         return None
+    for name in ("signs", *OFFSETS):
+        if name in block and len(block[name]) != count:
+            what = f"{fields.file}: {name} has {len(block[name])} numbers for {count} joints"
+            raise ProblemError(what, "Give one per joint")
     signs, coupling = block.get("signs", [1] * count), block.get("coupling", [])
     offsets = [0.0] * count
     for unit in (*ANGLE, *LENGTH):
         values = block.get(f"offsets_{unit}", [0.0] * count)
-        if len(values) != count:
-            fix = "Give one per joint"
-            raise ProblemError(f"{fields.file}: offsets_{unit} has {len(values)} numbers for {count} joints", fix)
         for i, (value, joint) in enumerate(zip(values, joints, strict=True)):
             if value and (unit in ANGLE) != (joint.turns):
                 what = f"{fields.file}: offsets_{unit} gives {value:g} for joint {i + 1}, which is {joint.kind}"

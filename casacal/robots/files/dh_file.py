@@ -21,9 +21,10 @@ def read_dh_file(path: str | Path) -> DHTable:
 
 
 def unread_keys(path: str | Path) -> tuple[str, ...]:
-    """Keys in the comments of a CSV that mean nothing there, such as `units` of '# units: m'; none in TOML."""
+    """Keys in comments of a CSV that mean nothing, such as `units` of '# units: m', each once; none in TOML."""
     found = () if is_toml(path) else (ENTRY.fullmatch(line) for line in decode(Path(path)).splitlines())
-    return tuple(each[1] for each in found if each and each[1] not in BLOCK_FIELDS)
+    unread = dict.fromkeys(each[1] for each in found if each and each[1] not in BLOCK_FIELDS)
+    return tuple(key for key in unread if key != "casacal")  # what exports say of themselves
 
 
 def dh_file_text(table: DHTable, path: str | Path) -> str:
