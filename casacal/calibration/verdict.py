@@ -193,8 +193,8 @@ def priors_contradicted(calibration: Calibration) -> list[str]:
     if far > BENT:
         worst = calibration.fit.names[int(np.argmax(calibration.moves))]
         return [
-            f"{worst} moved by {times(far)} prior standard deviations. Either a sign, a unit or a label is wrong, or it is "
-            "so far from what the problem says; then state wider priors (--prior, or --accuracy for the whole arm)"
+            f"{worst} moved by {times(far)} prior standard deviations. Either a sign, a unit or a label is wrong, or it "
+            "is so far from what the problem says; then state wider priors (--prior, or --accuracy for the whole arm)"
         ]
     drawn, scatter = calibration.metrics["before"]["fit"], prior_scatter(calibration.bare)
     assert drawn is not None
