@@ -167,6 +167,16 @@ def test_what_was_not_looked_at_closely_explains_nothing(scara, monkeypatch):
     assert _simplest(_looked_at_closely(trials)) is None
 
 
+@pytest.mark.parametrize(("by", "said", "kept"), [(-1, "next row", slice(1, None)), (1, "previous row", slice(-1))])
+def test_a_column_that_slipped_by_a_row_is_put_back(scara, by, said, kept):
+    problem, samples = touched(scara)
+    slipped = REPLACE(samples, columns={"reading": np.roll(samples.columns["reading"], by)})
+    assert said in only(problem, slipped).cause
+    cause = explained(problem, slipped, misfit(problem, slipped))
+    assert cause.undone.samples.columns["reading"] == pytest.approx(samples.columns["reading"][kept])
+    assert cause.undone.samples.joints == pytest.approx(samples.joints[kept])
+
+
 def test_a_lost_turn_is_mended_in_the_right_sense(hsr):
     samples = simulate(hsr.problem, hsr.cell, seed=3).samples
     for row, by in ((7, 1.0), (7, -2.0), (50, 0.5)):

@@ -116,9 +116,9 @@ def _against(calibration: Calibration) -> list[tuple[str, str]]:
 def wrong_with_samples(calibration: Calibration) -> tuple[Finding, ...]:
     """Errors in the rows that were fitted, each known by name; the whole check is asked where there is cause."""
     found = calibration.data_errors if calibration.suspicious else calibration.plain_errors
-    first = calibration.instrument_errors
-    told = {"misfit", SCALE, *(error.about for error in first)}
-    return tuple(without_its_likes([*first, *(error for error in found if error.about not in told)]))
+    own = calibration.instrument_errors
+    told = {"misfit", SCALE, *(error.about for error in own)}
+    return tuple(without_its_likes([*(error for error in found if error.about not in told), *own]))
 
 
 def _missed_minimum(calibration: Calibration) -> list[str]:
@@ -193,8 +193,8 @@ def priors_contradicted(calibration: Calibration) -> list[str]:
     if far > BENT:
         worst = calibration.fit.names[int(np.argmax(calibration.moves))]
         return [
-            f"{worst} moved by {times(far)} prior standard deviations. Either a sign, a unit or a label is wrong, or it "
-            "is so far from what the problem says; then state wider priors (--prior, or --accuracy for the whole arm)"
+            f"{worst} moved by {times(far)} prior standard deviations. Either a sign, a unit or a label is wrong, or "
+            "it is so far from what the problem says; state wider priors then (--prior, or --accuracy for the arm)"
         ]
     drawn, scatter = calibration.metrics["before"]["fit"], prior_scatter(calibration.bare)
     assert drawn is not None

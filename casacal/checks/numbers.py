@@ -32,7 +32,7 @@ SURE = 3.0  # standard deviations, with the noise as found, by which it must lie
 ALONE = 16.0
 """Times the others' mean by which what a number's prior costs must stand out: four standard deviations, squared."""
 
-SCALE = "scale of the readings"
+SCALE, TOOL = "scale of the readings", "tool elsewhere"
 BY_CHANCE = 1e-4  # chance of a common scale, and more, where nothing scales lengths
 
 TRIED = 2  # numbers that are freed one by one, those first that gain most
@@ -107,7 +107,7 @@ def without_its_likes(findings: Iterable[Finding]) -> list[Finding]:
     """What was found, but for numbers that look like others because the scale of the readings is wrong."""
     found = list(findings)
     scaled = any(each.about == SCALE for each in found)
-    return [each for each in found if not (scaled and each.about.endswith(" elsewhere"))]
+    return [each for each in found if not (scaled and each.about.endswith(" elsewhere") and each.about != TOOL)]
 
 
 def _likelihood(bound: BoundProblem) -> float:
