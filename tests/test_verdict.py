@@ -22,6 +22,7 @@ from casacal.checks.set_aside import gross
 from casacal.cli.main import main
 from casacal.least_squares.losses import huber
 from casacal.samples.write import write_samples
+from casacal.tables.columns import Labels
 from casacal.uncertainty.prior_moves import PriorScatter, prior_scatter
 from casacal.uncertainty.workspace import tip_rms, without_rigid
 
@@ -180,6 +181,19 @@ def test_nobody_is_sent_to_a_check_that_was_asked(hsr, changes, asked, step, mon
     assert len(calls) == asked
     monkeypatch.setattr("casacal.calibration.brief.doubts", lambda _: [])  # one that says no step of its own
     assert ("casacal check" in next_step(found, verdict)) is not asked
+
+
+def test_residuals_that_nothing_explains_are_looked_at_before_priors(hsr, corner_simulation, monkeypatch):
+    """Two faces under one label: priors that the misfit contradicts as well are not what is wrong."""
+    samples = corner_simulation.samples
+    one = ["floor" if label == "wall" else label for label in samples.labels["plane"]]
+    merged = dataclasses.replace(samples, labels={**samples.labels, "plane": Labels.of(one)})
+    found = calibrate(hsr.problem, merged, reference=False)
+    monkeypatch.setattr("casacal.calibration.brief.priors_contradicted", lambda _: ["they do not fit"])
+    monkeypatch.setattr("casacal.calibration.brief.wrong_with_samples", lambda _: ())
+    verdict = verdict_of(found)
+    assert "hardly lowered them" in verdict.words
+    assert next_step(found, verdict).startswith("run casacal check")
 
 
 @pytest.mark.long
