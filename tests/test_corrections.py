@@ -429,11 +429,13 @@ def test_a_soft_arm_is_doubted_but_corrected():
 def test_a_dial_whose_gain_nobody_declared_is_doubted():
     source = load_problem(ROOT / "problems" / "hsr_jr680")
     made = simulate(source.problem, source.cell, samples=120, seed=1).samples
-    wrong = dataclasses.replace(made, columns={"reading": made.columns["reading"] * 1.004})
-    assert verdict_of(calibrate(source, made, reference=False)).level == "calibrated"
-    verdict = verdict_of(calibrate(source, wrong, reference=False))
-    assert verdict.level != "calibrated"
-    assert any("gain of the dial" in reason and "declare" in reason for reason in verdict.reasons)
+    verdicts = []
+    for times in (1.0, 1.002, 1.004):  # a larger one shows in all lengths of the arm
+        shown = dataclasses.replace(made, columns={"reading": made.columns["reading"] * times})
+        verdicts.append(verdict_of(calibrate(source, shown, reference=False)))
+    assert [verdict.level for verdict in verdicts] == ["calibrated", "use with care", "do not use"]
+    assert any("gain of the dial" in reason and "declare" in reason for reason in verdicts[1].reasons)
+    assert "scale of the readings" in verdicts[2].words
 
 
 @pytest.mark.long

@@ -139,7 +139,7 @@ def test_what_a_readers_own_function_does_is_told(tmp_path, capsys):
     )
     (tmp_path / "problem.py").write_text(text)
     assert main(["simulate", str(tmp_path), "--out", str(tmp_path / "s.csv")]) == 2
-    assert "ends the program" in capsys.readouterr().err
+    assert "line 14: tip of 'DialOnLastOffset' failed with SystemExit" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("out", ["", " ", "n" * 300])

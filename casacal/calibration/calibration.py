@@ -214,13 +214,10 @@ class Calibration(Fitted):
     @cached_property
     def instrument_errors(self) -> tuple[Finding, ...]:
         """That what instruments share is not the same, or that a dial's wrong gain moves the tip more than promised."""
-        found = not_the_same(self.fit, self.result) if self.fit.problem.shared else []
-        scale, off = wrong_scale(self.seen, self.seen_x, self.covariance)
-        if scale and self.result.converged:
-            joints, tips, _ = self.workspace
-            moved = without_rigid(self.seen.tip_jacobian(self.seen_x, joints) @ off, tips)
-            found += scale if tip_rms(moved) > self.tip_std[1] else []
-        return tuple(found)
+        if not self.result.converged:
+            return ()
+        shared = not_the_same(self.fit, self.result) if self.fit.problem.shared else []
+        return (*shared, *wrong_scale(self.seen, self.seen_x, self.covariance))
 
     @property
     def moves(self) -> Array:

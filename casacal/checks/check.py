@@ -87,7 +87,7 @@ def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, .
     quick = quick_fit(problem, few)
     if quick is not None and quick[0].groups is None:
         fitted = quick[0], quick[1].x, quick[1].spread[0]
-        findings += [*tool_elsewhere_at(*fitted), *wrong_scale(*fitted)[0]]
+        findings += [*tool_elsewhere_at(*fitted), *wrong_scale(*fitted)]
     findings += [*_untold(problem, few, base), *_rows(bind(problem, good))]
     if all(finding.severity != "error" for finding in findings):
         findings += beside_geometry(problem, few)

@@ -22,6 +22,7 @@ from casacal.uncertainty.effect_sizes import evidence, told
 from casacal.uncertainty.figures import noise_interval
 from casacal.uncertainty.noise import found_noise
 from casacal.uncertainty.prior_moves import DULL
+from casacal.uncertainty.workspace import tip_rms, tip_stds, without_rigid, workspace_joints
 from casacal.unknowns import Parameter
 
 WIDE = {"rad": 0.1, "mm": 20.0}  # smallest prior under which `calibrate` tries another number, by unit
@@ -80,15 +81,20 @@ def wrong_number(bound: BoundProblem, *, alone: bool = False) -> list[Finding]:
     return []
 
 
-def wrong_scale(bound: Seen, x: Array, covariance: Array) -> tuple[list[Finding], Array]:
+def wrong_scale(bound: Seen, x: Array, covariance: Array) -> list[Finding]:
     """An error where all lengths of an estimate x (n,) are wrong by one part, as a dial's gain makes them.
 
-    No arm is built so, and planes contain no length: such rows fit well. Also by how much unknowns (n,) are elsewhere.
+    No arm is built so, and planes contain no length: such rows fit well. It counts where the tip moves by more, over
+    the workspace and apart from the base, than it is expected to err.
     """
     dials = [one for one in bound.problem.instruments if one.probe is not None and one.probe.column is not None]
     found = common_scale(bound, x, covariance) if dials else None
     if found is None or found.chance > BY_CHANCE:
-        return [], np.zeros(len(x))
+        return []
+    joints = workspace_joints(bound.problem.robot)
+    field = without_rigid(bound.tip_jacobian(x, joints), bound.tips(x, joints))
+    if tip_rms(field @ found.off) < tip_rms(tip_stds(covariance, field).ravel()):
+        return []
     size, way = f"{100 * abs(found.part):.2g}", "large" if found.part > 0 else "small"
     declared = any("gain" in one.unknowns for one in dials)
     cause = (
@@ -100,7 +106,7 @@ def wrong_scale(bound: Seen, x: Array, covariance: Array) -> tuple[list[Finding]
         "Have the dial calibrated, or touch a gauge block's step, which contains a length; or declare that the gain "
         f"may be so wrong ({state}), so that the priors decide how large the arm is"
     )
-    return [Finding("error", SCALE, cause, fix)], found.off
+    return [Finding("error", SCALE, cause, fix)]
 
 
 def without_its_likes(findings: Iterable[Finding]) -> list[Finding]:

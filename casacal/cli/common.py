@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from casacal.errors import CasacalError
-from casacal.files import check_writable
 
 if TYPE_CHECKING:
     from casacal.compensation.arm import CalibratedArm
@@ -141,6 +140,8 @@ def read_arm(options: argparse.Namespace, *inputs: str | None) -> CalibratedArm:
 
 def check_folder(option: str, place: str) -> None:
     """Raise CasacalError for what cannot be a folder that is written to, before anything is computed for it."""
+    from casacal.files import check_writable
+
     if not place.strip() or (Path(place).exists() and not Path(place).is_dir()):
         raise CasacalError(f"{option} '{place}' is no folder", "Name a folder, or one that does not exist yet")
     check_writable(Path(place))
