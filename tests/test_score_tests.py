@@ -352,7 +352,7 @@ def test_a_rough_face_is_no_effect(hsr):
     assert (np.array(chances) < 0.05).sum() <= 7  # 4 expected of 78; ten with noise as stated
 
 
-@pytest.mark.long_unless("0")
+@pytest.mark.long_unless("0", "2")
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_touches_that_were_programmed_to_one_depth_show_no_gain(hsr, seed):
     """Where the drawn arm would read 5 mm everywhere, what is read is the arm's error, which a gain would explain."""

@@ -213,7 +213,7 @@ class Calibration(Fitted):
 
     @cached_property
     def instrument_errors(self) -> tuple[Finding, ...]:
-        """That what instruments share is not the same, or that a dial's wrong gain moves the tip more than promised."""
+        """That what instruments share is not the same, or that a dial's gain is wrong and the tip with it."""
         if not self.result.converged:
             return ()
         shared = not_the_same(self.fit, self.result) if self.fit.problem.shared else []

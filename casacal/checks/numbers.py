@@ -35,6 +35,7 @@ ALONE = 16.0
 
 SCALE, TOOL = "scale of the readings", "tool elsewhere"
 BY_CHANCE = 1e-4  # chance of a common scale, and more, where nothing scales lengths
+MOST_PART = 0.1  # no dial is so wrong; where all touches were driven to one depth, readings seem to mean nothing at all
 
 TRIED = 2  # numbers that are freed one by one, those first that gain most
 
@@ -84,16 +85,16 @@ def wrong_number(bound: BoundProblem, *, alone: bool = False) -> list[Finding]:
 def wrong_scale(bound: Seen, x: Array, covariance: Array) -> list[Finding]:
     """An error where all lengths of an estimate x (n,) are wrong by one part, as a dial's gain makes them.
 
-    No arm is built so, and planes contain no length: such rows fit well. It counts where the tip moves by more, over
-    the workspace and apart from the base, than it is expected to err.
+    No arm is built so, and planes contain no length: such rows fit well. It counts where it moves the tip, over the
+    workspace and apart from the base, by more than half of what this is expected to err.
     """
     dials = [one for one in bound.problem.instruments if one.probe is not None and one.probe.column is not None]
     found = common_scale(bound, x, covariance) if dials else None
-    if found is None or found.chance > BY_CHANCE:
+    if found is None or found.chance > BY_CHANCE or abs(found.part) > MOST_PART:
         return []
     joints = workspace_joints(bound.problem.robot)
     field = without_rigid(bound.tip_jacobian(x, joints), bound.tips(x, joints))
-    if tip_rms(field @ found.off) < tip_rms(tip_stds(covariance, field).ravel()):
+    if tip_rms(field @ found.off) < tip_rms(tip_stds(covariance, field).ravel()) / 2:
         return []
     size, way = f"{100 * abs(found.part):.2g}", "large" if found.part > 0 else "small"
     declared = any("gain" in one.unknowns for one in dials)
