@@ -145,6 +145,18 @@ def test_a_common_scale_is_found_and_what_it_did_to_the_arm_is_told(used, part):
         assert np.abs(found.off[8:]).max() < 1e-3
 
 
+def test_a_scale_beyond_all_measure_and_lengths_that_no_row_sees_end_in_a_number_or_nothing():
+    rng = np.random.default_rng(5)
+    arm, x, covariance = drawn(rng, used=1.0, part=0.0)
+    far = common_scale(arm, x + 1e6 * np.append(LinkLengths.lengths, np.zeros(4)), covariance)
+    assert far.chance == 0
+    unseen = covariance.copy()
+    unseen[:8], unseen[:, :8] = 0.0, 0.0
+    unseen[range(8), range(8)] = arm.prior_std[:8] ** 2
+    assert common_scale(arm, x, unseen) is None
+    assert common_scale(arm, np.full(12, np.nan), covariance) is None
+
+
 def showing(samples, times):
     """The same touches on a dial that shows so many times as much."""
     readings = times * samples.columns["reading"]

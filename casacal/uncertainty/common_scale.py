@@ -16,6 +16,7 @@ from casacal.uncertainty.workspace import scale_direction
 FEWEST = 4  # directions that rows must see before some of them can say how far the others may move
 RANGE = np.geomspace(1e-2, 1e2, 121)  # times the priors that arms may differ from their drawing
 ROUNDING = 1e-12
+BEYOND = 700.0  # whose exponential is still a number
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,15 +44,15 @@ def common_scale(bound: Seen, x: Array, covariance: Array) -> CommonScale | None
     std = bound.prior_std[own]
     spread = covariance[np.ix_(own, own)] / np.outer(std, std)
     growth = _growth(bound)[own] / std
-    if not np.isfinite(spread).all() or not growth.any():
+    if not (np.isfinite(spread).all() and np.isfinite(x[own]).all() and growth.any()):
         return None
     left, along = np.linalg.eigh(spread)
     seen = left < 1 - DULL
     left, along = np.clip(left[seen], ROUNDING, None), along[:, seen]
-    if len(left) < FEWEST:
+    moved, towards = (x - bound.x0)[own] / std, along.T @ growth
+    if len(left) < FEWEST or float(np.linalg.norm(towards)) < ROUNDING:
         return None
-    moved = (x - bound.x0)[own] / std
-    said, towards = along.T @ moved / (1 - left), along.T @ growth
+    said = along.T @ moved / (1 - left)
     arm = np.isin(own, [j for _, unit, _, j in bound.parameters() if j is not None and unit in ("mm", "rad")])
     fixed = np.diag(left / (1 - left)) + along[~arm].T @ along[~arm]
     free = along[arm].T @ along[arm]
@@ -66,7 +67,7 @@ def common_scale(bound: Seen, x: Array, covariance: Array) -> CommonScale | None
     best = max(range(len(RANGE)), key=lambda k: tried[k][1])
     ratio, part = 2 * (tried[best][1] - max(each[0] for each in tried)), tried[best][2]
     freedom = len(left) - 1
-    student = math.sqrt(freedom * math.expm1(ratio / (freedom + 1)))
+    student = math.sqrt(freedom * math.expm1(min(max(ratio, 0.0) / (freedom + 1), BEYOND)))
     allowed = np.where(arm, RANGE[best] ** 2, 1.0)
     rest = allowed * (along @ np.linalg.solve(fixed + RANGE[best] ** 2 * free, said - part * towards))
     off = np.zeros(bound.unknowns)
