@@ -182,6 +182,33 @@ def test_an_interrupt_that_something_swallows_still_ends_the_run(goes_on):
     assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
 
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize("ends", [True, False])
+def test_an_alarm_that_is_due_as_the_run_ends_leaves_none_behind(monkeypatch, ends):
+    """Left armed, it would end the process without a word: SIGALRM kills where nobody handles it."""
+    arm, late = signal.setitimer, []
+
+    def disarm_late(timer, seconds, interval=0.0):
+        arm(timer, seconds, interval)
+        if seconds == 0:
+            late.append(signal.raise_signal(signal.SIGALRM))
+
+    def run():
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        if ends:
+            raise KeyboardInterrupt
+        return 0
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    monkeypatch.setattr(signal, "setitimer", disarm_late)
+    with pytest.raises(KeyboardInterrupt):
+        heard(run)
+    assert late == [None]
+    assert signal.signal(signal.SIGINT, before) is signal.default_int_handler
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+
+
 def fill_the_disk(folder):
     with together(folder, ["a", "b"]) as place:
         (place / "a").write_text("new")

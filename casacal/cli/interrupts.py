@@ -23,18 +23,18 @@ def heard(run: Callable[[], int]) -> int:
         return run()
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         return run()
-    came = False
+    came = over = False
 
     def interrupt(*_: Any) -> NoReturn:
         nonlocal came
-        came = True
-        signal.signal(signal.SIGALRM, remind)
-        signal.setitimer(signal.ITIMER_REAL, AGAIN)
+        if not over:
+            came = True
+            signal.signal(signal.SIGALRM, remind)
+            signal.setitimer(signal.ITIMER_REAL, AGAIN, AGAIN)
         raise KeyboardInterrupt
 
     def remind(*_: Any) -> None:
-        signal.setitimer(signal.ITIMER_REAL, AGAIN)
-        if not _tidying_up():
+        if not (over or _tidying_up()):  # an alarm that was due as the run ended comes once it is over
             signal.raise_signal(signal.SIGINT)  # to whoever handles it now: it waits while files take their places
 
     before = signal.getsignal(signal.SIGALRM)
@@ -42,10 +42,11 @@ def heard(run: Callable[[], int]) -> int:
     try:
         code = run()
     finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        over = True
         if came:
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     if came and code != INTERRUPTED:
         raise KeyboardInterrupt
     return code
