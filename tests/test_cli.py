@@ -255,7 +255,7 @@ def test_bad_problem_files_are_refused_in_one_line(run, tmp_path, name):
     assert "Traceback" not in err
 
 
-SLIP = """import math
+SLIP = """import math, casadi as ca
 from casacal import DialOnPlane, Problem, Robot
 from casacal.kinematics import chain, rotate_z, translate_x
 
@@ -274,6 +274,15 @@ problem = Problem(Robot("r", 2, pose, {{}}), DialOnPlane(noise_std=0.01))
         ("if q[0] > 0: return chain()", "line 6: pose of 'r' failed with RuntimeError"),
         ("pass", "problem.py: pose of 'r' failed with TypeError: it returns nothing."),
         ("return chain(rotate_z(q[0]))[:3, :3]", "pose of 'r' has the shape (3, 3)"),
+        (
+            "c, s = ca.cos(q[0]), ca.sin(q[0]); return ca.diagcat(ca.blockcat([[c, s], [s, c]]), 1, 1)",
+            "The pose of 'r' is no rigid motion (R^T R is off by 0.52), at the joint values [0.274, -0.46]. Look at",
+        ),
+        (
+            "return ca.diagcat(rotate_z(q[0])[:3, :3], -1)",
+            "has the last row [0.0, 0.0, 0.0, -1.0] in place of 0, 0, 0, 1",
+        ),
+        ("return ca.diagcat(rotate_z(q[0])[:2, :2], -1, 1)", "The pose of 'r' mirrors (det R = -1), at the joint"),
         ("return chain(rotate_z(math.sin(q[0])), translate_x(9))", "The tip of 'r' is not finite in any posture"),
     ],
 )

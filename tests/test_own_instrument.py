@@ -321,6 +321,20 @@ def bind_count(problem):
         (("**ARM), DrawWire())", "**ARM), DrawWire)"), "Got the class DrawWire"),
         (("**ARM), DrawWire())", "**ARM), [DrawWire()])"), "Got a list as an instrument"),
         (("- p.post)", "- p.pots)"), "problem.py, line 15: residual of 'DrawWire' failed with AttributeError"),
+        (
+            (
+                "    def residual",
+                "    def plunger_direction(self, pose, p):\n        return p.axis\n\n    def residual",
+            ),
+            "problem.py, line 15: plunger_direction of 'DrawWire' failed with AttributeError",
+        ),
+        (
+            (
+                "    def residual",
+                "    def plunger_direction(self, pose, p):\n        return pose[:2, 2]\n\n    def residual",
+            ),
+            "plunger_direction of 'DrawWire' has the shape (2, 1). It must be (3, 1)",
+        ),
         ((" - row.wire", ""), "does not depend on what it reads, its column 'wire'"),
         (
             ('problem = Problem(Robot.from_dh("small", **ARM), DrawWire())', 'problem = "x"'),

@@ -16,7 +16,6 @@ from casacal.kernels.batch import Batch
 from casacal.kinematics import stacked_poses
 from casacal.robots.joint_space import random_joints
 from casacal.robots.robot import Robot
-from casacal.robots.traced_pose import traced
 
 EXACT = 1e-7  # miss (mm; rad) below which the axes reproduce the robot's pose
 
@@ -73,7 +72,7 @@ def axes_of(robot: Robot) -> Axes:
             raise ProblemError(f"Robot parameter '{key}' has no nominal value", "Give it the drawing's")
         values[key] = unknown.at(ca.DM(unknown.nominal), ca.DM.zeros(unknown.size))
     q = ca.SX.sym("q", n)
-    built = traced(robot.pose, "pose", robot.name, (4, 4), SimpleNamespace(**values), q)
+    built = robot.flange(SimpleNamespace(**values), q)
     symbolic = ca.vec(ca.SX(built))
     pose = Batch(ca.Function("pose", [q], [ca.densify(symbolic)]))
     slope = np.array(ca.Function("slope", [q], [ca.jacobian(symbolic, q)])(np.zeros(n)))

@@ -121,7 +121,7 @@ class Trace(Value):
         """What the functions build of other values p."""
         robot, instrument, columns, q = self.robot, self.instrument, self.columns, self.q
         p, row, kind = SimpleNamespace(**values), SimpleNamespace(**columns), type(instrument).__name__
-        pose = traced(robot.pose, "pose", robot.name, (4, 4), p, q)
+        pose = robot.flange(p, q)
         if self.acting:
             pose, row = _with_effects(Here(robot, instrument, p, q, pose, row), self.acting, columns)
         residual = traced(instrument.residual, "residual", kind, None, pose, p, row)
@@ -136,8 +136,8 @@ class Trace(Value):
                 f"Use {', '.join(f'row.{name}' for name in read)}, or declare no columns",
             )
         tip = traced(instrument.tip, "tip", kind, (3, 1), pose, p, row)
-        plunger = instrument.plunger_direction(pose, p)
-        return Seen(pose, tip, residual, None if plunger is None else ca.SX(plunger))
+        plunger = traced(instrument.plunger_direction, "plunger_direction", kind, (3, 1), pose, p, optional=True)
+        return Seen(pose, tip, residual, ca.SX(plunger) if plunger.numel() else None)
 
     @property
     def pose(self) -> ca.SX:
@@ -183,7 +183,7 @@ def _with_effects(
     moved = [each for each in off if each.numel() == count]
     if moved:
         q = here.q + sum(moved, ca.SX.zeros(count))
-        here = replace(here, pose=traced(robot.pose, "pose", robot.name, (4, 4), here.p, q))
+        here = replace(here, pose=robot.flange(here.p, q))
     read = dict(columns)
     for effect in effects:
         if (changed := effect.pose(here)) is not None:

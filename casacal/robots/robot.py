@@ -78,9 +78,16 @@ class Robot(Value, FromFunction):
 
     @cached_property
     def traced(self) -> TracedPose:
-        """The pose function as a graph; raises ProblemError when it fails."""
+        """The pose function as a graph; raises ProblemError when it fails or is no rigid motion."""
         pose = partial(traced, self.pose, "pose", self.name, (4, 4))
-        return TracedPose.of(pose, self.parameters, len(self.axes))
+        made = TracedPose.of(pose, self.parameters, len(self.axes))
+        made.require_rigid(self.name)
+        return made
+
+    def flange(self, p: Any, q: Expression) -> Expression:
+        """What `pose` builds (4x4, mm) of symbols; raises ProblemError when it fails or is no rigid motion."""
+        _ = self.traced
+        return traced(self.pose, "pose", self.name, (4, 4), p, q)
 
     def with_gear_ratios(self, *ratios: float) -> Robot:
         """The same arm, its motors' turns for one of each joint known; 0 where not; raises ProblemError."""

@@ -25,6 +25,9 @@ from casacal.values import FrozenMapping, Value
 
 Triple = tuple[float, float, float]
 
+RIGID = 1e-4
+"""Largest error of the entries of R^T R, and of the last row, of what still counts as a rigid pose: 0.05 mm a metre."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Screws:
@@ -135,6 +138,28 @@ class TracedPose(Value):
         place = position(self(SimpleNamespace(**self.drawn), q))
         return ca.Function("levers", [q], [ca.densify(ca.jacobian(place, q))])
 
+    def require_rigid(self, owner: str) -> None:
+        """Raise ProblemError where the arm as drawn stretches, bends or mirrors its flange in one of three postures."""
+        if any(unknown.nominal is None for unknown in self.unknowns.values()):
+            return
+        postures = np.random.default_rng(0).uniform(-1, 1, (3, self.graph.size1_in(self.graph.n_in() - 1)))
+        for q in postures:
+            pose = np.array(ca.DM(self(SimpleNamespace(**self.drawn), ca.DM(q))))
+            turn = pose[:3, :3]
+            bent = np.abs(turn.T @ turn - np.eye(3)).max()
+            if bent > RIGID:
+                what = f"is no rigid motion (R^T R is off by {bent:.2g})"
+            elif np.linalg.det(turn) < 0:
+                what = "mirrors (det R = -1)"
+            elif np.abs(pose[3] - (0, 0, 0, 1)).max() > RIGID:
+                what = f"has the last row {pose[3].round(3).tolist()} in place of 0, 0, 0, 1"
+            else:
+                continue
+            raise ProblemError(
+                f"The pose of '{owner}' {what}, at the joint values {q.round(3).tolist()}",
+                "Look at the signs of its sines and cosines; casacal.kinematics has matrices that are right",
+            )
+
     @cached_property
     def text(self) -> str:
         """The graph as text."""
@@ -158,7 +183,8 @@ def traced(
         built = call(*arguments)
         if built is None and not optional:
             raise TypeError("it returns nothing")
-        built = ca.SX(0, 1) if built is None else built
+        if built is None:
+            return ca.SX(0, 1)
         value = built if isinstance(built, Product) else ca.SX(built)
         found = value.shape  # a product is multiplied out here, so that factors that do not fit are found
     except (Exception, SystemExit) as error:  # whatever a user's function raises, it is their file that must change

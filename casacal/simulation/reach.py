@@ -45,14 +45,14 @@ class Touch:
         z = {key: ca.SX.sym(key, unknown.size) for key, unknown in unknowns.items()}
         nominal: dict[str, Any] = {key: unknown.nominal for key, unknown in unknowns.items()}
         p = SimpleNamespace(**{key: unknown.at(ca.DM(nominal[key]), z[key]) for key, unknown in unknowns.items()})
-        q, reading = ca.SX.sym("q", len(robot.axes)), ca.SX.sym("r")
-        pose = traced(robot.pose, "pose", robot.name, (4, 4), p, q)
+        q, reading, kind = ca.SX.sym("q", len(robot.axes)), ca.SX.sym("r"), type(instrument).__name__
+        pose = robot.flange(p, q)
         row = SimpleNamespace(**({} if probe.column is None else {probe.column: reading}))
-        tip = traced(instrument.tip, "tip", type(instrument).__name__, (3, 1), pose, p, row)
-        axis = instrument.plunger_direction(pose, p)
-        if axis is None:
+        tip = traced(instrument.tip, "tip", kind, (3, 1), pose, p, row)
+        axis = traced(instrument.plunger_direction, "plunger_direction", kind, (3, 1), pose, p, optional=True)
+        if not axis.numel():
             raise SimulationError(
-                f"{type(instrument).__name__} touches faces and says no direction of its plunger",
+                f"{kind} touches faces and says no direction of its plunger",
                 "Override plunger_direction",
             )
         place, slopes = [tip, axis], [ca.jacobian(tip, q).T, ca.jacobian(axis, q).T]
