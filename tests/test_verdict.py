@@ -367,6 +367,21 @@ def test_what_ended_badly_must_not_be_used(hsr, clean, monkeypatch):
     assert stopped.result.message in said.reasons
 
 
+def test_what_nothing_holds_is_named_so_that_it_can_be_held(hsr, clean, monkeypatch):
+    """With flat priors the plates choose the base frame, parallel axes share an offset, and the last turns in itself."""
+    import casacal.calibration.given as module
+
+    monkeypatch.setitem(module.METHODS, "lm", lambda fit, progress=None: casacal.lm(fit, max_steps=40))
+    loose = hsr.problem.with_prior(dict.fromkeys(("alpha", "a", "d", "theta"), math.inf))
+    said = verdict_of(calibrate(loose, clean.samples, method="lm", reference=False, discrepancy="none"))
+    assert said.words == "Do not use this result: neither the samples nor a prior hold 5 combinations of parameters."
+    (reason,) = said.reasons
+    names = re.findall(r"\b(?:alpha|a|d|theta)\d\b", reason.partition(" (--prior")[0])
+    assert len(set(names)) == 5
+    held = verdict_of(calibrate(loose.fix(*names), clean.samples, method="lm", reference=False, discrepancy="none"))
+    assert held.level != "do not use"
+
+
 def test_little_gain_and_no_bound(clean):
     for figures, level, says in (
         ((3.0, 2.9), "use with care", "little was gained"),

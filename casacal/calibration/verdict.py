@@ -15,7 +15,7 @@ from casacal.calibration.warnings import NOISE_BAND, doubts, larger_than_any
 from casacal.checks import Finding
 from casacal.checks.numbers import SCALE, without_its_likes
 from casacal.uncertainty.prior_moves import prior_scatter
-from casacal.wording import listed, mm, sentence, times
+from casacal.wording import counted, listed, mm, sentence, times
 
 Level = Literal["calibrated", "use with care", "do not use"]
 
@@ -28,6 +28,9 @@ FARTHEST = 1e5  # mm or rad beyond which a number of an arm wandered off; result
 
 TOO_LOOSE = 1e-3
 """Chance below which a drawn arm that misses so little contradicts its priors, and these must not decide."""
+
+MEMBER = 1e-3
+"""Part of a direction's length above which a parameter takes part in it."""
 
 SHOWN = 0.01  # millimetres below which nobody asks how little a tip errs
 
@@ -103,7 +106,7 @@ def _against(calibration: Calibration) -> list[tuple[str, str]]:
         for error in wrong_with_samples(calibration)
     ]
     if not calibration.result.converged:
-        found.append(("the method did not finish", calibration.result.message))
+        found.append(_unfinished(calibration))
     found += [(clause, sentence(clause)) for clause in _missed_minimum(calibration)]
     for look in (unexplained, priors_contradicted):
         found += [] if found else [(clause, sentence(clause)) for clause in look(calibration)]
@@ -119,6 +122,20 @@ def wrong_with_samples(calibration: Calibration) -> tuple[Finding, ...]:
     own = calibration.instrument_errors
     told = {"misfit", SCALE, *(error.about for error in own)}
     return tuple(without_its_likes([*(error for error in found if error.about not in told), *own]))
+
+
+def _unfinished(calibration: Calibration) -> tuple[str, str]:
+    """That the method did not finish, and why: its own words, or that whole directions are left without an end."""
+    flat = ~np.isfinite(calibration.bare.prior_std)
+    null = [np.abs(each.direction) > MEMBER for each in calibration.identifiability.null]
+    loose = [members for members in null if flat[members].all()]
+    if not loose:
+        return "the method did not finish", calibration.result.message
+    names = [calibration.bare.names[int(np.flatnonzero(members)[0])] for members in loose]
+    return (
+        f"neither the samples nor a prior hold {counted(len(loose), 'combination')} of parameters",
+        f"Give a prior to {listed(names)} (--prior {names[0]}=STD), or hold {'it' if len(names) == 1 else 'them'} (--fix).",
+    )
 
 
 def _missed_minimum(calibration: Calibration) -> list[str]:
