@@ -200,6 +200,17 @@ def test_the_truth_reproduces_the_samples_by_numpy_alone(run, tmp_path):
     assert abs(np.mean(misses)) < 0.003
 
 
+@pytest.mark.skipif(os.name == "nt", reason="devices of POSIX")
+def test_words_about_a_file_do_not_get_into_it_where_it_is_standard_output(run, calibrated, tmp_path):
+    joints, kept = tmp_path / "q.csv", tmp_path / "p.csv"
+    joints.write_text("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n10,20,30,40,50,60\n")
+    code, words, _ = run("predict", calibrated / "result.json", joints, "--out", kept)
+    command = [sys.executable, "-m", "casacal", "predict", calibrated / "result.json", joints, "--out", "/dev/stdout"]
+    piped = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    assert (piped.returncode, piped.stdout) == (code, kept.read_text())
+    assert piped.stderr == words.replace(str(kept), "/dev/stdout")
+
+
 def test_predict_flange_is_the_pose(run, calibrated, tmp_path):
     joints = tmp_path / "q.csv"
     joints.write_text("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n10,20,30,40,50,60\n")

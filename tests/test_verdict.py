@@ -368,7 +368,7 @@ def test_what_ended_badly_must_not_be_used(hsr, clean, monkeypatch):
 
 
 def test_what_nothing_holds_is_named_so_that_it_can_be_held(hsr, clean, monkeypatch):
-    """With flat priors the plates choose the base frame, parallel axes share an offset, and the last turns in itself."""
+    """Flat priors: the plates choose the base frame, parallel axes share an offset, the last axis turns in itself."""
     import casacal.calibration.given as module
 
     monkeypatch.setitem(module.METHODS, "lm", lambda fit, progress=None: casacal.lm(fit, max_steps=40))

@@ -132,9 +132,10 @@ def _unfinished(calibration: Calibration) -> tuple[str, str]:
     if not loose:
         return "the method did not finish", calibration.result.message
     names = [calibration.bare.names[int(np.flatnonzero(members)[0])] for members in loose]
+    them = "it" if len(names) == 1 else "them"
     return (
         f"neither the samples nor a prior hold {counted(len(loose), 'combination')} of parameters",
-        f"Give a prior to {listed(names)} (--prior {names[0]}=STD), or hold {'it' if len(names) == 1 else 'them'} (--fix).",
+        f"Give a prior to {listed(names)} (--prior {names[0]}=STD), or hold {them} (--fix).",
     )
 
 

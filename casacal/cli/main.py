@@ -31,7 +31,7 @@ from casacal.cli import (
 )
 from casacal.cli.common import BAD_INPUT, DONE, INTERRUPTED
 from casacal.cli.interrupts import heard
-from casacal.cli.terminal import complain, finish, prepare
+from casacal.cli.terminal import complain, finish, prepare, words_beside
 from casacal.errors import CasacalError
 from casacal.threads import one_thread_each
 from casacal.version import __version__
@@ -134,6 +134,7 @@ def _ranges_joined(typed: list[str]) -> list[str]:
 
 def _answer(options: argparse.Namespace) -> int:
     try:
-        return heard(lambda: int(options.run(options)))
+        with words_beside(getattr(options, "out", None)):
+            return heard(lambda: int(options.run(options)))
     except SystemExit as end:
         raise CasacalError("Code of the problem's own ends the program (sys.exit)", "Take that out of it") from end

@@ -9,7 +9,7 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, redirect_stdout, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, redirect_stdout, suppress
 from typing import Any, Literal, TextIO
 
 from casacal.errors import CasacalError
@@ -53,6 +53,14 @@ def on_stderr() -> Iterator[None]:
                 ctypes.CDLL(None).fflush(None)  # what C has not written yet
             os.dup2(kept, 1)
             os.close(kept)
+
+
+def words_beside(out: str | None) -> AbstractContextManager[object]:
+    """Where `out` is standard output itself (/dev/stdout), what is said about the file goes to the errors."""
+    with suppress(OSError, ValueError):
+        if out is not None and os.path.samestat(os.stat(out), os.fstat(1)):
+            return redirect_stdout(sys.stderr)
+    return nullcontext()
 
 
 def width() -> int:
