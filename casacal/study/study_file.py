@@ -19,6 +19,7 @@ from casacal.errors import CasacalError, StudyError, came, said
 from casacal.files import write_json, write_text
 from casacal.study.description import Run, Study
 from casacal.user_code import line_of
+from casacal.wording import counted
 
 
 @dataclass(frozen=True)
@@ -153,8 +154,9 @@ def write_report(source: StudyFile, run: Run, options: str) -> Path:
     if run.study is not None:
         failed = sum(record["error"] is not None for record in run.records)
         lines += [
-            f"{len(run.study.settings)} settings, {len(run.study.methods)} methods, {run.study.trials} trials, seed "
-            f"{run.study.seed}: {len(run.records)} records, {failed} of them failures; SHA-256 without timings "
+            f"{counted(len(run.study.settings), 'setting')}, {counted(len(run.study.methods), 'method')}, "
+            f"{counted(run.study.trials, 'trial')}, seed {run.study.seed}: {counted(len(run.records), 'record')}, "
+            f"{counted(failed, 'failure')}; SHA-256 without timings "
             f"`{run.digest[:16]}`. `{commands[0]} --report --out DIR`, DIR the folder of `records.jsonl`, writes "
             "this page again from the records alone.",
             "",
