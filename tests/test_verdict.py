@@ -380,6 +380,10 @@ def test_what_nothing_holds_is_named_so_that_it_can_be_held(hsr, clean, monkeypa
     assert len(set(names)) == 5
     held = verdict_of(calibrate(loose.fix(*names), clean.samples, method="lm", reference=False, discrepancy="none"))
     assert held.level != "do not use"
+    monkeypatch.setitem(module.METHODS, "lm", lambda fit, progress=None: casacal.lm(fit, max_steps=1))
+    held_by_d3 = hsr.problem.with_prior({"d2": math.inf})  # their axes are parallel
+    stopped = calibrate(held_by_d3, clean.samples, method="lm", reference=False, discrepancy="none")
+    assert verdict_of(stopped).words == "Do not use this result: the method did not finish."
 
 
 def test_little_gain_and_no_bound(clean):

@@ -27,10 +27,9 @@ def heard(run: Callable[[], int]) -> int:
 
     def interrupt(*_: Any) -> NoReturn:
         nonlocal came
-        if not over:
-            came = True
-            signal.signal(signal.SIGALRM, remind)
-            signal.setitimer(signal.ITIMER_REAL, AGAIN, AGAIN)
+        came = True
+        signal.signal(signal.SIGALRM, remind)
+        signal.setitimer(signal.ITIMER_REAL, AGAIN, AGAIN)
         raise KeyboardInterrupt
 
     def remind(*_: Any) -> None:
@@ -43,10 +42,10 @@ def heard(run: Callable[[], int]) -> int:
         code = run()
     finally:
         over = True
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         if came:
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, before)
-        signal.signal(signal.SIGINT, signal.default_int_handler)
     if came and code != INTERRUPTED:
         raise KeyboardInterrupt
     return code
