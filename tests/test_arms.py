@@ -11,7 +11,7 @@ from oracles import dh_chain, modified_dh_chain, rot_x, rot_z, shift
 from robots_of_others import IIWA, ODD_URDF, PUMA_TOML, UR5_CSV, UR5_URDF
 from scipy.spatial.transform import Rotation
 
-from casacal import Conventions, Joint, Robot, deg
+from casacal import Conventions, Joint, Parameter, Robot, deg
 from casacal import kinematics as k
 from casacal.errors import ProblemError
 
@@ -317,3 +317,9 @@ def test_bad_screws_are_refused(change, words):
     good = {"axes": [(0, 0, 1)] * 2, "points": [(0, 0, 0)] * 2, "home": np.eye(4)}
     with pytest.raises(ProblemError, match=words):
         Robot.from_screws("r", **{**good, **change})
+
+
+def test_an_arm_without_a_nominal_length_is_refused_at_once():
+    """What is measured against may be found from the rows, an arm's own numbers not."""
+    with pytest.raises(ProblemError, match=r"parameter 'l' has no nominal value\. Give it the drawing's"):
+        Robot("r", 1, lambda p, q: k.chain(k.rotate_z(q[0]), k.translate_x(p.l)), {"l": Parameter(None, unit="mm")})

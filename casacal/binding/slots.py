@@ -159,9 +159,7 @@ def make_slots(problem: Problem, samples: Sequence[Samples], known: Mapping[str,
         taken.add(slots[-1].name)
 
     for key, unknown in problem.robot.parameters.items():
-        if unknown.nominal is None:
-            raise ProblemError(f"Robot parameter '{key}' has no nominal value", "Declare one")
-        add(key, unknown, None, unknown.nominal, False)
+        add(key, unknown, None, np.asarray(unknown.nominal), False)
     for i, instrument in enumerate(problem.instruments):
         places: list[Place] = []
         for key, unknown in sorted(instrument.unknowns.items(), key=lambda item: item[1].per is not None):

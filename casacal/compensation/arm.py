@@ -98,11 +98,10 @@ def arm_values(result: CalibratedArm, *, nominal: bool = False) -> SimpleNamespa
 
     As they are best where nobody corrects an effect beside the geometry.
     """
-    values = {}
-    for key, unknown in result.source.problem.robot.parameters.items():
-        if unknown.nominal is None:
-            raise CasacalError(f"'{key}' of the arm has no nominal value", "Give it one in the problem file")
-        values[key] = unknown.at(ca.DM(unknown.nominal), ca.DM(_local(key, unknown, result, nominal, alone=True)))
+    values = {
+        key: unknown.at(ca.DM(np.asarray(unknown.nominal)), ca.DM(_local(key, unknown, result, nominal, alone=True)))
+        for key, unknown in result.source.problem.robot.parameters.items()
+    }
     return SimpleNamespace(**values)
 
 

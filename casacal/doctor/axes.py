@@ -63,17 +63,11 @@ class Axes:
 def axes_of(robot: Robot) -> Axes:
     """Find the axes of a robot at its nominal parameters from its pose function.
 
-    Raises ProblemError when the pose is not one motion per joint (with joints coupled as the doctor's family knows),
-    and for a parameter without a nominal value.
+    Raises ProblemError when the pose is not one motion per joint (with joints coupled as the doctor's family knows).
     """
-    values, n, count = {}, len(robot.axes), 12
-    for key, unknown in robot.parameters.items():
-        if unknown.nominal is None:
-            raise ProblemError(f"Robot parameter '{key}' has no nominal value", "Give it the drawing's")
-        values[key] = unknown.at(ca.DM(unknown.nominal), ca.DM.zeros(unknown.size))
+    n, count = len(robot.axes), 12
     q = ca.SX.sym("q", n)
-    built = robot.flange(SimpleNamespace(**values), q)
-    symbolic = ca.vec(ca.SX(built))
+    symbolic = ca.vec(ca.SX(robot.flange(SimpleNamespace(**robot.traced.drawn), q)))
     pose = Batch(ca.Function("pose", [q], [ca.densify(symbolic)]))
     slope = np.array(ca.Function("slope", [q], [ca.jacobian(symbolic, q)])(np.zeros(n)))
     tried = random_joints(robot, count, np.random.default_rng(0))

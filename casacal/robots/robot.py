@@ -59,6 +59,8 @@ class Robot(Value, FromFunction):
                 raise ProblemError(f"A parameter is named '{key}'", "Use a Python identifier, it becomes p.<name>")
             if unknown.per is not None:
                 raise ProblemError(f"Robot parameter '{key}' is per '{unknown.per}'", "Only instruments vary by label")
+            if unknown.nominal is None:
+                raise ProblemError(f"Robot parameter '{key}' has no nominal value", "Give it the drawing's")
 
     @property
     def axes(self) -> tuple[Joint, ...]:
@@ -79,8 +81,7 @@ class Robot(Value, FromFunction):
     @cached_property
     def traced(self) -> TracedPose:
         """The pose function as a graph; raises ProblemError when it fails or is no rigid motion."""
-        pose = partial(traced, self.pose, "pose", self.name, (4, 4))
-        made = TracedPose.of(pose, self.parameters, len(self.axes))
+        made = TracedPose.of(partial(traced, self.pose, "pose", self.name, (4, 4)), self.parameters, len(self.axes))
         made.require_rigid(self.name)
         return made
 

@@ -140,8 +140,6 @@ class TracedPose(Value):
 
     def require_rigid(self, owner: str) -> None:
         """Raise ProblemError where the arm as drawn stretches, bends or mirrors its flange in one of three postures."""
-        if any(unknown.nominal is None for unknown in self.unknowns.values()):
-            return
         postures = np.random.default_rng(0).uniform(-1, 1, (3, self.graph.size1_in(self.graph.n_in() - 1)))
         for q in postures:
             pose = np.array(ca.DM(self(SimpleNamespace(**self.drawn), ca.DM(q))))
