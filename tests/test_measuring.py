@@ -15,7 +15,7 @@ from scipy.stats import chi2, multivariate_normal
 from casacal import CasacalError, Session, bind, lm, load_problem, plan
 from casacal.measuring.conversation import ended
 from casacal.measuring.linear import LinearRows, error_below, expected_error, spectrum
-from casacal.measuring.touch import rows_of
+from casacal.measuring.touch import Touch, rows_of, slips_of
 from casacal.planning.clearance import Clearance, nodes_of
 from casacal.uncertainty.expectation import expected_accuracy
 
@@ -103,6 +103,26 @@ def slipped(kind, joints, reading, face):
     if kind == "joint":
         other[1] += math.radians(3.0)
     return other, reading, face
+
+
+def test_no_slip_is_named_that_the_dial_cannot_show(hsr, world):
+    """A dial of 0 to 10 mm shows no sign, and no turn less than none."""
+    joints, _, face = world.touch(7)
+    touch = Touch(joints, {"reading": 0.4}, {"plane": face})
+    named = slips_of(hsr.problem, touch, None, {"plane": ("floor", "wall", "side")})
+    assert {slip.kind for slip in named} >= {"revolution", "digit", "label"}
+    assert min(slip.touch.columns["reading"] for slip in named) >= -0.1
+    either_way = hsr.problem.with_settings({"travel": (-5.0, 5.0)})
+    assert any(slip.kind == "sign" for slip in slips_of(either_way, touch, None, {"plane": ("floor", "wall", "side")}))
+
+
+def test_joint_values_typed_in_radians_are_named(late, world):
+    """Their numbers, taken for degrees: an arm that stands nearly straight."""
+    number = next(n for n in range(41, 60) if world.touch(n)[2] == "floor" and late.planned(n).purpose == "fit")
+    joints, reading, face = world.touch(number)
+    first = late.take(np.radians(joints), reading, face, number=number).alarm.suspects[0]
+    assert first.slip.kind == "radians"
+    np.testing.assert_allclose(first.slip.touch.joints, joints, atol=1e-12)
 
 
 @pytest.mark.long_unless("label", "joints swapped")

@@ -212,8 +212,8 @@ class Calibration(Fitted):
         return prior_moves(self.seen, self.seen_x, self.covariance)
 
     @cached_property
-    def instrument_errors(self) -> tuple[Finding, ...]:
-        """That what instruments share is not the same, or that a dial's gain is wrong and the tip with it."""
+    def instrument_findings(self) -> tuple[Finding, ...]:
+        """That what instruments share is not the same, or that their scale is wrong and the tip with it."""
         if not self.result.converged:
             return ()
         shared = not_the_same(self.fit, self.result) if self.fit.problem.shared else []

@@ -119,7 +119,7 @@ def _against(calibration: Calibration) -> list[tuple[str, str]]:
 def wrong_with_samples(calibration: Calibration) -> tuple[Finding, ...]:
     """Errors in the rows that were fitted, each known by name; the whole check is asked where there is cause."""
     found = calibration.data_errors if calibration.suspicious else calibration.plain_errors
-    own = calibration.instrument_errors
+    own = [each for each in calibration.instrument_findings if each.severity == "error"]
     told = {"misfit", SCALE, *(error.about for error in own)}
     return tuple(without_its_likes([*(error for error in found if error.about not in told), *own]))
 

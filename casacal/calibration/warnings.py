@@ -39,6 +39,7 @@ def doubts(calibration: Calibration) -> list[Doubt]:
         _rows_set_aside,
         _tool_elsewhere,
         _far_parameters,
+        _scale,
         _repeated_rows,
         _labels_alike,
         _lack_of_fit,
@@ -51,6 +52,11 @@ def doubts(calibration: Calibration) -> list[Doubt]:
         _effects_left_out,
     )
     return [doubt for look in found if (doubt := look(calibration)) is not None]
+
+
+def _scale(calibration: Calibration) -> Doubt | None:
+    found = [each for each in calibration.instrument_findings if each.severity == "warning"]
+    return Doubt(found[0].cause.partition("; ")[0], str(found[0]).removeprefix("warning: ")) if found else None
 
 
 def _far_parameters(calibration: Calibration) -> Doubt | None:

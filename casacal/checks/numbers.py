@@ -35,6 +35,8 @@ ALONE = 16.0
 
 SCALE, TOOL = "scale of the readings", "tool elsewhere"
 BY_CHANCE = 1e-4  # chance of a common scale, and more, where nothing scales lengths
+UNLIKELY = 1e-2  # the same, beyond which it is mentioned
+WARM = 1e-3  # part by which an arm grows that is 40 degrees warmer than its drawing, and more, of any metal
 MOST_PART = 0.1  # no dial is so wrong; where all touches were driven to one depth, readings seem to mean nothing at all
 
 TRIED = 2  # numbers that are freed one by one, those first that gain most
@@ -83,25 +85,31 @@ def wrong_number(bound: BoundProblem, *, alone: bool = False) -> list[Finding]:
 
 
 def wrong_scale(bound: Seen, x: Array, covariance: Array) -> list[Finding]:
-    """An error where all lengths of an estimate x (n,) are wrong by one part, as a dial's gain makes them.
+    """That all lengths of an estimate x (n,) are wrong by one part, as an instrument of a wrong scale has it.
 
-    No arm is built so, and planes contain no length: such rows fit well. It counts where it moves the tip, over the
-    workspace and apart from the base, by more than half of what this is expected to err.
+    No arm is built so, and such rows fit well. It counts where it moves the tip, over the workspace and apart from the
+    base, by more than half of what this is expected to err. A dial on planes, which contain no length, is an error.
+    Trackers and the like see how much an arm grew: they count where it is more than warmth does, and as a warning where
+    one of a hundred arms has it.
     """
+    found = common_scale(bound, x, covariance)
     dials = [one for one in bound.problem.instruments if one.probe is not None and one.probe.column is not None]
-    found = common_scale(bound, x, covariance) if dials else None
-    if found is None or found.chance > BY_CHANCE or abs(found.part) > MOST_PART:
+    alone = len(dials) == len(bound.problem.instruments)
+    least, seldom = (0.0, BY_CHANCE) if alone else (WARM, UNLIKELY)
+    if found is None or found.chance > seldom or not least <= abs(found.part) <= MOST_PART:
         return []
     joints = workspace_joints(bound.problem.robot)
     field = without_rigid(bound.tip_jacobian(x, joints), bound.tips(x, joints))
     if tip_rms(field @ found.off) < tip_rms(tip_stds(covariance, field).ravel()) / 2:
         return []
     size, way = f"{100 * abs(found.part):.2g}", "large" if found.part > 0 else "small"
+    cause = f"all lengths came out {size} % too {way} together; no arm is built so, "
+    if not alone:
+        cause += f"and warmth changes it by less than 0.1 %, but lengths that are taken for too {way} do that"
+        fix = f"Compare with a known length: {bound.problem.words.trusted or 'the scale of the instrument'}"
+        return [Finding("error" if found.chance <= BY_CHANCE else "warning", SCALE, cause, fix)]
+    cause += f"but a dial that shows {size} % too {'much' if found.part > 0 else 'little'} does that"
     declared = any("gain" in one.unknowns for one in dials)
-    cause = (
-        f"all lengths came out {size} % too {way} together; no arm is built so, but a dial that shows {size} % too "
-        f"{'much' if found.part > 0 else 'little'} does that"
-    )
     state = f"--prior gain={size}" if declared else f"gain=dial_gain({size}) of the instrument"
     fix = (
         "Have the dial calibrated, or touch a gauge block's step, which contains a length; or declare that the gain "

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casacal.cli.adjust import add_clearance, add_where, clearance_of, stds_of, where
-from casacal.cli.common import DONE, JSON, PROBLEM, add, of_instrument, spare, whole_number
+from casacal.cli.common import DONE, JSON, PROBLEM, add, of_instrument, spare, spare_measured, whole_number
 from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
 
@@ -70,6 +70,7 @@ def run(options: argparse.Namespace) -> int:
     source = of_instrument(load_problem(options.problem), options.instrument)
     outs = [options.out, *([] if options.sheet is None else [options.sheet])]
     spare(outs, *(file.path for file in source.files), source.samples, options.targets, options.after)
+    spare_measured(outs)
     warned = _wrong_with(source, options)
     clearance = clearance_of(options, source.problem)
     found = _planned(source, options, clearance)

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from casacal.cli.adjust import names_of
-from casacal.cli.common import DONE, FAILED, JSON, add, add_fresh_rows, fresh_rows, made_from, spare
+from casacal.cli.common import DONE, FAILED, JSON, add, add_fresh_rows, fresh_rows, made_from, spare, spare_measured
 from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
 
@@ -46,6 +46,7 @@ def run(options: argparse.Namespace) -> int:
         files = () if other is None else (file.path for file in other.files)
         spare([options.report], result.file, options.samples, options.readings, *files, option="--report")
         spare([options.report], *made_from(result), option="--report")
+        spare_measured([options.report], "--report")
         if not options.report.strip():
             raise CasacalError("--report is empty", "Name a file, such as verified.html")
         if Path(options.report).is_file():

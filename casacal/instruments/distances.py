@@ -37,7 +37,14 @@ class SphereTouch(ToolTip):
     centre: Parameter = proposed_point("sphere")
 
     datum = ("centre",)
-    words = Words("distance from the spheres", "mm", "touches", "spheres fitted alone", group="sphere")
+    words = Words(
+        "distance from the spheres",
+        "mm",
+        "touches",
+        "spheres fitted alone",
+        "the radius and form of spheres and probe",
+        group="sphere",
+    )
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """How far the ball stands off the sphere, mm."""
@@ -93,7 +100,14 @@ class Distance(ToolTip):
 
     columns = FrozenMapping({"length": "length"})
     datum = ("anchor", "zero")
-    words = Words("residual of the length", "mm", "lengths", "anchors and zero fitted alone", group="anchor")
+    words = Words(
+        "residual of the length",
+        "mm",
+        "lengths",
+        "anchors and zero fitted alone",
+        "the scale of the lengths",
+        group="anchor",
+    )
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Predicted minus read length, mm."""

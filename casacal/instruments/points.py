@@ -75,7 +75,9 @@ class Sockets(ToolTip):
     datum = ("start", "bar")
     known_by = "socket"
     knows_every_label = True  # a socket that is not listed stands nowhere
-    words = Words("distance from the sockets", "mm", "rests", "sockets fitted alone", group="place")
+    words = Words(
+        "distance from the sockets", "mm", "rests", "sockets fitted alone", "the sockets' distances", group="place"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -164,7 +166,15 @@ class TrackedPoint(PointInFrame):
     def words(self) -> Words:
         """Coordinates of points."""
         by = self.station.per or Words.group
-        return Words("residual of each coordinate", "mm", "points", "station fitted alone", group=by, accuracy=True)
+        return Words(
+            "residual of each coordinate",
+            "mm",
+            "points",
+            "station fitted alone",
+            "the scale of the coordinates",
+            group=by,
+            accuracy=True,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,7 +196,15 @@ class KnownPoint(PointInFrame):
 
     known_by = groups = "point"
     knows_every_label = True  # a point that is not listed stands nowhere
-    words = Words("residual of each coordinate", "mm", "points", "plate fitted alone", group="point", accuracy=True)
+    words = Words(
+        "residual of each coordinate",
+        "mm",
+        "points",
+        "plate fitted alone",
+        "the points' coordinates",
+        group="point",
+        accuracy=True,
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

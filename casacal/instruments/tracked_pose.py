@@ -56,7 +56,14 @@ class TrackedPose(Instrument):
     body: Frame = Frame()
     station: Frame = Frame()
 
-    words = Words("residual of each coordinate", "mm", "poses", "body and station fitted alone", accuracy=True)
+    words = Words(
+        "residual of each coordinate",
+        "mm",
+        "poses",
+        "body and station fitted alone",
+        "the scale of the poses",
+        accuracy=True,
+    )
 
     def __post_init__(self) -> None:
         for name in ("position_std", "angle_std"):

@@ -112,6 +112,15 @@ def labels_of(plane: str | Mapping[str, str] | None, layout: Layout, planned: To
     return found
 
 
+def _shown(problem: Problem, columns: Mapping[str, float]) -> bool:
+    """Whether an instrument can show these readings at all."""
+    try:
+        refuse_beyond_travel(problem, columns)
+    except CasacalError:
+        return False
+    return True
+
+
 def refuse_beyond_travel(problem: Problem, columns: Mapping[str, float]) -> None:
     """Raise CasacalError for a reading that the dial cannot show; calibrate would not take it."""
     probe = problem.instrument.probe
@@ -143,7 +152,7 @@ def slips_of(problem: Problem, touch: Touch, planned: Touch | None, labels: Mapp
     planned: what was to be done there, or None. labels: by column, what there is to choose from.
     """
     found = [*_of_labels(touch, labels), *_of_readings(problem, touch), *_of_joints(problem, touch, planned)]
-    return [slip for slip in found if np.isfinite(slip.touch.joints).all()]
+    return [slip for slip in found if np.isfinite(slip.touch.joints).all() and _shown(problem, slip.touch.columns)]
 
 
 def _of_labels(touch: Touch, labels: Mapping[str, Sequence[str]]) -> Iterator[Slip]:
@@ -188,6 +197,9 @@ def _of_joints(problem: Problem, touch: Touch, planned: Touch | None) -> Iterato
             other[i] = value
         return Slip(kind, words, replace(touch, joints=other), weight)
 
+    if turns.sum() > 1 and np.abs(np.degrees(joints[turns])).max() < 2 * math.pi:
+        in_rad = {int(i): math.degrees(joints[i]) for i in np.flatnonzero(turns)}
+        yield slip("radians", "joint values in radians, not degrees", in_rad, -3.0)
     for i, value in enumerate(joints):
         if planned is not None and abs(planned.joints[i] - value) > 1e-9:
             as_planned = float(planned.joints[i])

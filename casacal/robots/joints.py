@@ -16,6 +16,8 @@ from casacal.values import is_real
 
 MOST_JOINTS = 100
 
+MOST_TURNED = 8 * math.pi  # limits of a joint beyond it, in rad, were given in degrees
+
 MOST_RATIO = 1000.0  # largest gear ratio of a robot's joint
 
 
@@ -45,6 +47,9 @@ class Joint:
             factor, unit = (math.degrees(1), "degrees") if self.turns else (1.0, "mm")
             what = f"A joint has the limits {self.lower * factor:g} to {self.upper * factor:g} {unit}"
             raise ProblemError(what, fix)
+        if self.turns and max(-self.lower, self.upper) > MOST_TURNED:
+            what = f"A joint has the limits {self.lower:g} to {self.upper:g} rad, which are many turns"
+            raise ProblemError(what, f"Give rad, such as deg({self.lower:g}, {self.upper:g}) for degrees")
         if not (is_real(self.repeatability_std) and 0 <= self.repeatability_std < math.inf):
             raise ProblemError(f"A joint has repeatability_std {self.repeatability_std!r}", "Give zero or more")
         if not (is_real(self.gear_ratio) and (self.gear_ratio == 0 or 1 <= self.gear_ratio <= MOST_RATIO)):
