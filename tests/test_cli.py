@@ -237,6 +237,18 @@ PROBLEMS = {
     "other": ("problem = 'an arm'\n", "does not define `problem`"),
     "imports": ("import nonsense_module\n", "ModuleNotFoundError"),
     "exits": ("raise SystemExit(3)\n", "SystemExit"),
+    "pasted": (
+        "c = Conventions(signs=(1, -1))\n",
+        "line 1: NameError: name 'Conventions' is not defined. Add from casacal",
+    ),
+    "number": (
+        "from casacal import Robot\n\nRobot('r', 1, lambda p, q: q, {'l1': 300.0})\n",
+        "line 3: Robot parameter 'l1' is a float. Make it one: l1=Parameter(...)",
+    ),
+    "degrees": (
+        "from casacal import Joint\n\nJoint('revolute', -170, 170)\n",
+        "line 3: A joint has the limits -170 to 170 rad, which are many turns. Give rad, such as deg(-170, 170)",
+    ),
     "dh": (
         "from casacal import Robot\n\nRobot.from_dh('r', alpha=(0,), a=(1, 2), d=(0,), theta=(0,), length_std=1,\n"
         "              angle_std=1)\n",
@@ -337,7 +349,8 @@ def test_a_slip_in_pose_is_one_line_of_every_command(run, tmp_path, command, lin
         (["calibrate", HSR, "--method", "lm", "--loss", "cauchy"], "invalid choice"),
         (["calibrate", HSR, "--method", "ekf", "--loss", "huber"], "takes no loss"),
         (["calibrate", HSR, "--method", "sckf", "--loss", "huber"], "Use one of lm, sckf-lm,"),
-        (["calibrate", HSR, "--accuracy", "0"], "positive"),
+        (["calibrate", HSR, "--accuracy", "0"], "accuracy is 0 mm. Give mm, 0.01 or more"),
+        (["calibrate", HSR, "--accuracy", "0.0005"], "accuracy is 0.0005 mm. Give mm, 0.01 or more"),
         (["calibrate", HSR, "--out", HSR + "/samples.csv"], "is no folder"),
         (["check", "nowhere"], "no problem"),
         (["check", HSR, "none.csv"], "no such file"),

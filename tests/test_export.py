@@ -113,6 +113,27 @@ def test_a_csv_is_written_back_with_only_its_numbers_changed(place):
     assert new[6].split(",")[3] == "0"  # d2 is held and keeps its text
 
 
+def test_a_twist_of_half_a_turn_is_written_so_that_it_reads_back(place, tmp_path):
+    (tmp_path / "arm").mkdir()
+    (tmp_path / "arm.csv").write_text(
+        "# convention: standard\njoint,alpha_deg,a_mm,d_mm,theta_deg\n1,180,330,0,0\n2,-90,35,0,0\n3,0,0,80,0\n"
+    )
+    (tmp_path / "arm" / "problem.py").write_text(
+        "from casacal import Conventions, DialOnPlane, Problem, Robot\n"
+        "from casacal import deg\n"
+        "robot = Robot.from_dh('arm', alpha=deg(180, -90, 0), a=(330, 35, 0), d=(0, 0, 80), theta=(0, 0, 0), "
+        "conventions=Conventions(signs=(1, -1, 1)))\n"
+        "problem = Problem(robot, DialOnPlane(noise_std=0.01))\n"
+    )
+    result = made(tmp_path / "arm", change={"alpha1": 1e-4, "a1": 0.5})
+    for text in (export.dh_text(result), export.dh_text(result, tmp_path / "arm.csv")):
+        (tmp_path / "again.csv").write_text(text)
+        again = casacal.Robot.from_dh_file(tmp_path / "again.csv").arm
+        assert again.alpha[0] == pytest.approx(1e-4 - math.pi, abs=1e-12)
+        assert again.a[0] == 330.5
+    assert "signs, offsets and coupling of the controller's joint values are in the problem file alone" in text
+
+
 def test_a_spreadsheet_keeps_its_own_ways(place, tmp_path):
     rows = UR5_CSV.replace(",", ";").replace(".", ",").replace("# parallel: 2; 3\n", "").replace("\n", "\r\n")
     rows = rows.replace("\r\n3;0;-392,25;", '\r\n3; 0 ;"-392,25";').replace("1;90;", "1;90,000;")

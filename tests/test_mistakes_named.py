@@ -10,6 +10,7 @@ from casacal import DialOnPlane, Problem, SimulationError, Step, calibrate, chec
 from casacal.calibration.verdict import verdict_of
 from casacal.checks.causes import _to_the_end, _Trial
 from casacal.checks.finding import Fault, Undone, misfit
+from casacal.checks.labels import odd_labels
 from casacal.checks.rows import outside
 from casacal.checks.setup import tells_a_wrong_sign
 from casacal.errors import CasacalError
@@ -189,6 +190,18 @@ def test_what_fits_any_joints_explains_nothing(scara):
     assert misfit(problem, still) < 2
     assert _to_the_end(_Trial((fault,), Undone(problem, still), 0.0)).size == math.inf
     assert _to_the_end(_Trial((fault,), Undone(problem, samples), 0.0)).size < 2
+
+
+@pytest.mark.parametrize(("one", "other", "alike"), [("1", "1.0", True), ("2,0", "2", True), ("1", "10", False)])
+def test_numbers_as_labels_are_compared_as_numbers(scara, one, other, alike):
+    problem, samples = scara
+    names, rows = list(samples.labels["plane"]), samples.labels["plane"].rows()["near"]
+    for k, row in enumerate(rows):
+        names[row] = one if k > 8 else other
+    named = [finding for finding in odd_labels(problem, labelled(samples, names)) if "hardly differs" in finding.cause]
+    assert [finding.cause.startswith(f"'{other}' (9 rows) hardly differs from '{one}'") for finding in named] == [
+        True
+    ] * alike
 
 
 @pytest.mark.parametrize("slip", ["Near", "ne ar"])

@@ -322,16 +322,26 @@ def result(made, tmp_path):
         ["simulate", "p", "--out", "mine.csv"],
         ["simulate", "p", "--out", "p/problem.py"],
         ["simulate", "p", "--out", "link.csv"],
+        ["compensate", "o", "q.csv", "--out", "o/result.json"],
+        ["predict", "o", "q.csv", "--out", "mine.csv"],
+        ["export", "o", "--to", "dh", "--out", "p/problem.py"],
+        ["export", "o", "--to", "dh", "--out", "tool.py"],
+        ["plan", "p", "--out", "touched.csv"],
+        ["plan", "p", "--out", "new.csv", "--sheet", "mine.csv"],
+        ["verify", "o", "q.csv", "--report", "mine.csv"],
+        ["changed", "o", "q.csv", "--touches", "touched.csv"],
     ],
     ids=" ".join,
 )
 def test_nothing_is_written_over_what_is_read(typed, result, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "link.csv").symlink_to(tmp_path / "p" / "problem.py")
+    (tmp_path / "tool.py").write_text("print('mine')")
+    (tmp_path / "touched.csv").write_text("# measured by casacal: p, plan 0\nq1_deg,x_mm\n1,2\n")
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     assert main(typed) == 2
     said = capsys.readouterr().err
-    assert "is what the command reads" in said or "was not simulated" in said
+    assert any(why in said for why in ("is what the command reads", "not simulated", "measured rows", "a program"))
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 

@@ -4,9 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from conftest import ROOT
 from linear import Matrix
 
 from casacal import (
+    Distance,
     Face,
     Problem,
     Step,
@@ -17,6 +19,7 @@ from casacal import (
     gauge_block,
     ipopt,
     lm,
+    load_problem,
     scaled_to_accuracy,
     simulate,
 )
@@ -200,3 +203,37 @@ def test_a_known_step_takes_the_scale_from_the_dial(hsr):
     result = lm(bound)
     assert wrong_scale(bound, result.x, result.covariance) == []
     assert result.x[bound.names.index("gain")] == pytest.approx(2, abs=0.2)
+
+
+def test_a_wire_of_a_wrong_scale_is_refused_or_doubted_and_named():
+    """The arm grows with it, as far as its priors let it: 0.6 % of 425 and 392 mm are nearly four of them."""
+    problem = Problem(load_problem(ROOT / "problems" / "ur5").problem.robot, Distance(noise_std=0.05))
+    rows = simulate(problem, samples=90, seed=5).samples
+
+    def told(part):
+        longer = dataclasses.replace(rows, columns={**rows.columns, "length": (1 + part) * rows.columns["length"]})
+        return calibrate(problem, longer, method="lm", reference=False, discrepancy="none")
+
+    clean, doubted, refused = told(0.0), told(0.004), told(0.012)
+    assert not clean.instrument_findings
+    assert "priors and the scale of the lengths are right" in verdict_of(clean).words
+    (finding,) = doubted.instrument_findings
+    assert (finding.about, finding.severity) == (SCALE, "warning")
+    assert any("lengths came out" in reason for reason in verdict_of(doubted).reasons)
+    assert verdict_of(doubted).level == "use with care"
+    assert verdict_of(refused).level == "do not use"
+    assert "too large together" in verdict_of(refused).reasons[0]
+
+
+def test_an_arm_that_is_warm_is_no_wrong_scale():
+    """0.05 % of all its lengths, which are known to a hundredth of a millimetre: 20 degrees of aluminium."""
+    exact = load_problem(ROOT / "problems" / "ur5").problem.robot
+    tight = {**dict.fromkeys(("a", "d"), 0.01), **dict.fromkeys(("alpha", "theta", "beta"), 1e-5)}
+    problem = Problem(exact, Distance(noise_std=0.002)).with_prior(tight)
+    rows = simulate(problem, samples=120, seed=5).samples
+    grown = dataclasses.replace(rows, columns={**rows.columns, "length": 1.0005 * rows.columns["length"]})
+    found = calibrate(problem, grown, method="lm", reference=False, discrepancy="none").unjudged
+    seen = common_scale(found.seen, found.seen_x, found.covariance)
+    assert seen.chance < 1e-4
+    assert seen.part == pytest.approx(5e-4, rel=0.1)
+    assert not found.instrument_findings

@@ -16,6 +16,7 @@ from casacal import (
     Disturbances,
     Face,
     FixedPoint,
+    Joint,
     Parameter,
     Plane,
     Problem,
@@ -25,9 +26,11 @@ from casacal import (
     bind,
     chain,
     corner,
+    deg,
     load_problem,
     plate,
     simulate,
+    tool_point,
 )
 from casacal.errors import SimulationError
 from casacal.kinematics import rotate_z, translate_x
@@ -373,3 +376,22 @@ def test_form_errors_are_smooth_and_of_the_asked_height():
     # DIN 876: 4, 10 and 20 micrometres times (1 + L / m)
     for grade, micrometres in (("0", 4.0), ("I", 10.0), ("II", 20.0)):
         assert flatness_din_876(grade, 630) == pytest.approx(micrometres * 1.63e-3)
+
+
+def test_an_arm_that_seldom_reaches_a_face_squarely_touches_it_all_the_same():
+    """Five axes: one posture of some twenty stands within 30 degrees; of 120 touches sixty rounds miss a few."""
+    robot = Robot.from_dh(
+        "five",
+        alpha=deg(-90, 0, 0, -90, 0),
+        a=(0, 350, 270, 0, 0),
+        d=(275, 0, 0, 0, 195),
+        theta=deg(0, -90, 0, -90, 0),
+        joints=[
+            Joint("revolute", *deg(*each)) for each in ((-180, 180), (-80, 140), (-80, 140), (-95, 95), (-180, 180))
+        ],
+    )
+    problem = Problem(robot, DialOnPlane(noise_std=0.01, sign=1, travel=(-5, 5), tool=tool_point(30, 0, 60)))
+    simulation = simulate(problem, samples=120, seed=0)
+    assert np.bincount(simulation.samples.labels["plane"].codes).tolist() == [40, 40, 40]
+    bound = bind(problem, simulation.samples)
+    assert np.abs(bound.residual(simulation.truth(bound))).max() < 5  # standard deviations of the noise

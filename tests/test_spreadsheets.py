@@ -112,6 +112,17 @@ def test_which_sheet_was_read_is_said_where_there_are_more(tmp_path):
     assert Samples.from_file(tmp_path / "s.xlsx", LAYOUT).joints[0, 1] == 200.5
 
 
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
+def test_a_line_that_tells_a_spreadsheet_what_stands_between_cells_is_none(tmp_path, mark):
+    rows = mark.join(HEADER[:4]) + "\n" + mark.join(["10", "200.5", "1.25", "left"]) + "\n"
+    (tmp_path / "s.csv").write_text(f"sep={mark}\n{rows}")
+    found = Samples.from_file(tmp_path / "s.csv", LAYOUT)
+    assert (found.columns["reading"].tolist(), found.lines) == ([1.25], (3,))
+    (tmp_path / "s.csv").write_text(f"{rows}sep={mark}\n")
+    with pytest.raises(SamplesError, match="line 3"):
+        Samples.from_file(tmp_path / "s.csv", LAYOUT)
+
+
 def test_what_could_not_be_calculated_is_no_comment(tmp_path):
     file = workbook(tmp_path / "s.xlsx", [HEADER, ROWS[0], ["#REF!", *ROWS[0][1:]]])
     with pytest.raises(SamplesError, match="line 3, column 'q1_deg': '#REF!' is not a finite number"):

@@ -811,7 +811,9 @@ def test_the_command_refuses_in_one_line(by_command, run):
 
 def test_the_truth_of_a_simulation_keeps_its_promise(by_command, capsys):
     assert main(["verify", str(by_command / "other.truth.json"), str(by_command / "other.csv")]) == 0
-    assert "Promise kept" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "Promise kept" in said
+    assert "this is the true arm of a simulation, not a calibration" in said
 
 
 def test_a_result_that_must_not_be_used_says_so(by_command, capsys):

@@ -10,6 +10,7 @@ import numpy as np
 from casacal.checks.finding import Finding
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
+from casacal.tables.grammar import is_number
 from casacal.wording import counted, shortened
 
 LABELS_ALIKE = "labels alike"
@@ -115,6 +116,8 @@ def _slip(one: str, two: str, *, both_common: bool) -> bool:
     """Whether two labels differ by case, blanks or one letter; 'face1' and 'face2' do not, nor 'sideA' and 'sideB'."""
     if "".join(one.split()).casefold() == "".join(two.split()).casefold():
         return True
+    if is_number(one) and is_number(two):
+        return float(one.replace(",", ".")) == float(two.replace(",", "."))  # 1 beside 1.0, as a spreadsheet makes it
     short, long = sorted((one.casefold(), two.casefold()), key=len)
     if len(short) < SHORTEST - 1 or len(long) < SHORTEST or len(long) - len(short) > 1:
         return False

@@ -194,7 +194,7 @@ def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clea
         if blocked and not options.json:
             say_paragraphs(
                 f"warning: no clear path was found to {'touch' if len(blocked) == 1 else 'touches'} "
-                f"{', '.join(blocked)}; the program stops before it"
+                f"{', '.join(blocked)}; the program stops before {'it' if len(blocked) == 1 else 'each'}"
             )
     if len(texts) < 1 + (options.sheet is not None) + len(set(options.program)):
         raise CasacalError("Two of the files to write have the same name", "Name others")

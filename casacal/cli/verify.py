@@ -34,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Verify as the options say; returns 0, or 1 when the promise was not kept or the arm not accepted."""
+    from casacal.compensation.arm import TRUTH
     from casacal.files import write_text
     from casacal.verification.decision import RISK
     from casacal.verification.page import REPORT, with_section
@@ -71,6 +72,8 @@ def run(options: argparse.Namespace) -> int:
         say_json(found.to_dict())
     else:
         say_paragraphs(*found.summary(whole=options.verbose).split("\n"))
+        if result.document.get("method") == "truth":
+            say_paragraphs(f"warning: {result.file}: {TRUTH}")
         if not options.verbose:
             say_paragraphs("Faces, regions and statistics: --verbose")
     return DONE if found.passed else FAILED

@@ -20,6 +20,7 @@ from casacal.problem.problem_file import ProblemFile
 from casacal.unknowns import Parameter
 from casacal.values import Value
 
+TRUTH = "this is the true arm of a simulation, not a calibration"
 FRAMES = ("flange", "tip")  # what a pose may be of: `robot.pose`, or where the instrument touches
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.arm import TRUTH, CalibratedArm
 from casacal.compensation.inverse_kinematics import torn
 from casacal.compensation.targets import Compensation, Outcome, Rounding
 from casacal.compensation.told import told_despite, told_notes
@@ -132,9 +132,11 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
     lines = [
         f"casacal compensate: {targets.file} (SHA-256 {targets.sha256[:12]}), result {result.file} of "
         f"{result.source.problem.robot.name}",
-        "joint values are those that the problem's robot.pose takes",
+        "joint values are those that the controller shows",
         f"{len(targets)} targets: " + ", ".join(f"{count} {word}" for word, count in counts.items()),
     ]
+    if result.document.get("method") == "truth":
+        lines.append(f"WARNING: {TRUTH}")
     used = told_despite(result, compensation.missing)
     words = used.denial
     verb = "removes" if words is None else "changes"

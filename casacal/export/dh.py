@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -158,13 +159,19 @@ def dh_text(result: CalibratedArm, source: str | Path | None = None, *, toml: bo
         fix = other_forms(result.source.problem.robot)
         raise CasacalError(f"'{result.source.problem.robot.name}' was not built from a DH table", fix)
     table = arm.at(arm_values(result))
+    table = replace(table, alpha=tuple(math.remainder(twist, math.tau) for twist in table.alpha))  # as files have it
     if source is None:
         return _remarked(dh_file_text(table, "arm.toml" if toml else "arm.csv"), remark(result, form="dh"))
     _check_source(source, arm)
     text = decode(Path(source))
     written = written_into_toml(text, table) if is_toml(source) else written_into_csv(text, table)
     marked = Path(source).read_bytes()[:2] in (b"\xef\xbb", b"\xff\xfe", b"\xfe\xff")  # a byte-order mark
-    written = ("\ufeff" if marked else "") + _remarked(written, remark(result, form="dh"))
+    lines = remark(result, form="dh")
+    if table.conventions is not None and read_dh_file(source).conventions is None:
+        lines.append(
+            f"{MARK}signs, offsets and coupling of the controller's joint values are in the problem file alone"
+        )
+    written = ("\ufeff" if marked else "") + _remarked(written, lines)
     _check_written(written, source, table)
     return written
 
@@ -186,7 +193,9 @@ def _check_source(source: str | Path, arm: DHTable) -> None:
         wrong = f"its convention is {began.convention}, the calibrated arm's {arm.convention}"
     elif began.parallel not in ((), arm.parallel):
         wrong = f"its parallel rows are {list(began.parallel)}, the calibrated arm's {list(arm.parallel)}"
-    elif not all(np.allclose(getattr(mine, k), getattr(theirs, k), atol=1e-8) for k in ("matrix", "offsets")):
+    elif began.conventions is not None and not all(
+        np.allclose(getattr(mine, k), getattr(theirs, k), atol=1e-8) for k in ("matrix", "offsets")
+    ):
         wrong = "its joint signs, offsets or coupling are not those of the calibrated arm"
     for key, tolerance in SAME.items():
         if wrong:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -95,7 +96,10 @@ def load_problem(path: str | Path) -> ProblemFile:
     except (Exception, SystemExit) as error:  # a user's file may raise anything
         if isinstance(error, CasacalError):
             raise ProblemError(f"{line_of(file, error)}: {error.what}", error.fix) from error
-        raise ProblemError(f"{line_of(file, error)}: {said(error)}", "Mend the problem file") from error
+        fix = "Mend the problem file"
+        if isinstance(error, NameError) and error.name in sys.modules["casacal"].__all__:
+            fix = f"Add from casacal import {error.name}"
+        raise ProblemError(f"{line_of(file, error)}: {said(error)}", fix) from error
     problem, cell = values.get("problem"), values.get("cell")
     if not isinstance(problem, Problem):
         what = "" if problem is None else f" as a Problem, but {came(problem)}"

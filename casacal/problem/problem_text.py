@@ -13,6 +13,7 @@ from casacal.instruments.description import Travel, readings_within
 from casacal.robots.files.dh_fields import degrees, plain
 from casacal.robots.joints import Conventions, Joint
 
+FINEST = 0.01  # mm; an accuracy below it was given in metres
 FILL_IN = "TO FILL IN"  # what marks a line that nobody has looked at yet
 
 
@@ -61,8 +62,8 @@ class Given:
         low, high = readings_within(10.0 if self.travel is None else self.travel)
         if not -math.inf < low < high < math.inf or plain(low) == plain(high):
             raise CasacalError(f"The dial's travel is {self.travel!r}", "Give its range in mm, such as 10 or -5:5")
-        if self.accuracy is not None and not 0 < self.accuracy < math.inf:
-            raise CasacalError(f"The maker's accuracy is {self.accuracy:g} mm", "Give a positive number of mm")
+        if self.accuracy is not None and not FINEST <= self.accuracy < math.inf:
+            raise CasacalError(f"The maker's accuracy is {self.accuracy:g} mm", f"Give mm, {FINEST} or more")
 
     @property
     def names(self) -> list[str]:

@@ -17,7 +17,7 @@ from casacal.robots.dh_table import DHTable, Stds
 from casacal.robots.files.dh_file import read_dh_file
 from casacal.robots.function_pose import FromFunction
 from casacal.robots.joints import Conventions, Joint, joints_of
-from casacal.robots.traced_pose import Screws, TracedPose, traced, travels, triples
+from casacal.robots.traced_pose import Screws, TracedPose, check_parameters, traced, travels, triples
 from casacal.robots.urdf_chain import UrdfChain
 from casacal.unknowns import Unknown
 from casacal.values import FrozenMapping, Value, alike, read_only, short
@@ -54,13 +54,7 @@ class Robot(Value, FromFunction):
             raise ProblemError(f"A robot is named {self.name!r}", "Use letters that can be printed on one line")
         if not self.axes:
             raise ProblemError(f"Robot '{self.name}' has no joints", "Give at least one")
-        for key, unknown in self.parameters.items():
-            if not key.isidentifier():
-                raise ProblemError(f"A parameter is named '{key}'", "Use a Python identifier, it becomes p.<name>")
-            if unknown.per is not None:
-                raise ProblemError(f"Robot parameter '{key}' is per '{unknown.per}'", "Only instruments vary by label")
-            if unknown.nominal is None:
-                raise ProblemError(f"Robot parameter '{key}' has no nominal value", "Give it the drawing's")
+        check_parameters(self.parameters)
 
     @property
     def axes(self) -> tuple[Joint, ...]:

@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casacal.errors import ProblemError, said
+from casacal.errors import ProblemError, came, said
 from casacal.kinematics import Expression, Product, chain, position, screw, slide
 from casacal.robots.joints import Conventions, Joint
 from casacal.unknowns import Direction, Frame, Parameter, Unknown
@@ -168,6 +168,19 @@ class TracedPose(Value):
 
     def __hash__(self) -> int:
         return hash(self.text)
+
+
+def check_parameters(parameters: Mapping[str, Any]) -> None:
+    """Raise ProblemError for what cannot be a parameter of an arm."""
+    for key, unknown in parameters.items():
+        if not key.isidentifier():
+            raise ProblemError(f"A parameter is named '{key}'", "Use a Python identifier, it becomes p.<name>")
+        if not isinstance(unknown, Unknown):
+            raise ProblemError(f"Robot parameter '{key}' is {came(unknown)}", f"Make it one: {key}=Parameter(...)")
+        if unknown.per is not None:
+            raise ProblemError(f"Robot parameter '{key}' is per '{unknown.per}'", "Only instruments vary by label")
+        if unknown.nominal is None:
+            raise ProblemError(f"Robot parameter '{key}' has no nominal value", "Give it the drawing's")
 
 
 def traced(

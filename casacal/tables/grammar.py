@@ -17,6 +17,7 @@ from casacal.wording import counted
 
 MOST_COLUMNS = 16_384  # what a sheet of a spreadsheet holds
 LONGEST_NAME = 200  # of a column, in characters
+SEPARATOR = "sep=,", "sep=;", "sep="  # a first line that tells Excel what stands between the cells; a tab is stripped
 NAMES = {",": "commas", ";": "semicolons", "\t": "tabs"}  # of delimiters
 Comments = list[tuple[int, list[str]]]
 """Cells of lines that begin with #, each with its number."""
@@ -51,7 +52,8 @@ def lines_and_comments(text: str, first: int = 1) -> tuple[list[tuple[int, str]]
     comments: list[tuple[int, str]] = []
     for number, line in enumerate(LINE_END.split(text), first):
         if begun := line.lstrip():
-            (comments if begun.startswith("#") else lines).append((number, line))
+            spreadsheet = number == 1 and begun.strip().casefold() in SEPARATOR  # how Excel is told what stands between
+            (comments if begun.startswith("#") or spreadsheet else lines).append((number, line))
     return lines, comments
 
 

@@ -16,6 +16,7 @@ from casacal.binding.bound_problem import BoundProblem
 from casacal.errors import CasacalError, ProblemError, came
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
+from casacal.problem.problem_text import FINEST
 from casacal.uncertainty.effect_sizes import Told, evidence, told
 from casacal.uncertainty.workspace import without_rigid, workspace_joints
 from casacal.values import FrozenMapping, Value
@@ -43,10 +44,10 @@ def prior_tip_rms(problem: Problem) -> float:
 def scaled_to_accuracy(problem: Problem, accuracy: float) -> Problem:
     """Copy whose arm priors, all scaled alike, predict a tip error of `accuracy` mm RMS, as the maker states it.
 
-    Raises ProblemError unless the accuracy is positive and the priors are finite and move the tip.
+    Raises ProblemError unless the accuracy is 0.01 mm or more, and the priors are finite and move the tip.
     """
-    if not 0 < accuracy < math.inf:
-        raise ProblemError(f"The maker's accuracy is {accuracy:g} mm", "Give a positive number of mm")
+    if not FINEST <= accuracy < math.inf:
+        raise ProblemError(f"The maker's accuracy is {accuracy:g} mm", f"Give mm, {FINEST} or more")
     present = prior_tip_rms(problem)
     if not 0 < present < math.inf:
         raise ProblemError(
