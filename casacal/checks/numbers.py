@@ -92,9 +92,9 @@ def wrong_scale(bound: Seen, x: Array, covariance: Array) -> list[Finding]:
     Trackers and the like see how much an arm grew: they count where it is more than warmth does, and as a warning where
     one of a hundred arms has it.
     """
-    found = common_scale(bound, x, covariance)
     dials = [one for one in bound.problem.instruments if one.probe is not None and one.probe.column is not None]
-    alone = len(dials) == len(bound.problem.instruments)
+    alone = all(one.probe is not None for one in bound.problem.instruments)
+    found = common_scale(bound, x, covariance) if dials or not alone else None
     least, seldom = (0.0, BY_CHANCE) if alone else (WARM, UNLIKELY)
     if found is None or found.chance > seldom or not least <= abs(found.part) <= MOST_PART:
         return []
