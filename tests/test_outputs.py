@@ -345,6 +345,14 @@ def test_nothing_is_written_over_what_is_read(typed, result, tmp_path, monkeypat
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
+def test_what_casacal_planned_or_simulated_may_be_written_over(result, tmp_path):
+    assert main(["simulate", str(HSR), "--out", str(tmp_path / "s.csv"), "--samples", "40"]) == 0
+    plan = f"# planned by casacal for p: not a measurement\n{(tmp_path / 'mine.csv').read_text()}"
+    (tmp_path / "plan.csv").write_text(plan)
+    for name in ("s.csv", "plan.csv"):
+        assert main(["predict", str(result), str(tmp_path / "q.csv"), "--out", str(tmp_path / name)]) == 0
+
+
 def test_simulate_writes_both_files_or_neither(tmp_path, monkeypatch, capsys):
     from casacal.calibration import result_json
 

@@ -27,6 +27,7 @@ from casacal import (
     chain,
     corner,
     deg,
+    dial_gain,
     load_problem,
     plate,
     simulate,
@@ -386,11 +387,14 @@ def test_an_arm_that_seldom_reaches_a_face_squarely_touches_it_all_the_same():
         a=(0, 350, 270, 0, 0),
         d=(275, 0, 0, 0, 195),
         theta=deg(0, -90, 0, -90, 0),
+        parallel=(2, 3),
         joints=[
             Joint("revolute", *deg(*each)) for each in ((-180, 180), (-80, 140), (-80, 140), (-95, 95), (-180, 180))
         ],
     )
-    problem = Problem(robot, DialOnPlane(noise_std=0.01, sign=1, travel=(-5, 5), tool=tool_point(30, 0, 60)))
+    problem = Problem(
+        robot, DialOnPlane(noise_std=0.01, sign=1, travel=(-5, 5), tool=tool_point(30, 0, 60), gain=dial_gain(0.15))
+    )
     simulation = simulate(problem, samples=120, seed=0)
     assert np.bincount(simulation.samples.labels["plane"].codes).tolist() == [40, 40, 40]
     bound = bind(problem, simulation.samples)
