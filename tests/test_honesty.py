@@ -154,7 +154,7 @@ def test_priors_scale_to_the_maker_s_accuracy(hsr):
     assert prior_tip_rms(scaled) == pytest.approx(1.2)
     before, after = (p.robot.parameters["a"].prior_stds for p in (hsr.problem, scaled))
     np.testing.assert_allclose(after / before, after[0] / before[0])
-    with pytest.raises(ProblemError, match="positive"):
+    with pytest.raises(ProblemError, match=r"Give mm, 0\.01 or more"):
         scaled_to_accuracy(hsr.problem, -1)
     assert main(["calibrate", str(hsr.path), "--accuracy", "1.2", "--method", "lm", "--no-reference"]) == 0
 
