@@ -15,11 +15,12 @@ from casacal.cli.main import main
 from casacal.errors import CasacalError
 from casacal.fieldwork.approaches import approaches
 from casacal.fieldwork.handouts import program_text, sheet_page
-from casacal.planning.clearance import Clearance, near_face, nodes_of
+from casacal.planning.clearance import Clearance, near_face
 from casacal.planning.exchange import Criterion, exchange
 from casacal.planning.how_many import touches_for
 from casacal.planning.set_ups import set_ups
 from casacal.robots.joint_space import random_joints
+from casacal.robots.links import nodes_of
 from casacal.uncertainty.expectation import planned_accuracy
 
 NAMES = ("hsr_jr680", "ur5", "kuka_iiwa14", "adept_cobra600")
@@ -104,7 +105,9 @@ def test_a_plan_keeps_clear(hsr):
     assert not ((heights[1] > 700) & (heights[1] < 900)).any()
     assert len(kept) == 20
     everywhere = ((-5000.0, 5000.0),) * 3
-    with pytest.raises(CasacalError, match=r"Only 0 of \d+ reachable touches keep clear"):
+    with pytest.raises(
+        CasacalError, match=r"Only 0 of \d+ reachable touches keep above the table at z = 0 mm, and clear of boxes"
+    ):
         plan(hsr.problem, hsr.cell, touches=20, pool=300, clearance=Clearance((everywhere,)))
     for wrong in ({"boxes": (((0, 1), (0, 1)),)}, {"boxes": (((1, 0), (0, 1), (0, 1)),)}, {"link_radius": -1.0}):
         with pytest.raises(CasacalError):

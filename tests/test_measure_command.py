@@ -21,7 +21,7 @@ from casacal import CasacalError, Instrument, Parameter, Problem, load_problem, 
 from casacal.cli.main import main
 from casacal.kinematics import position
 from casacal.measuring.conversation import answered, posture
-from casacal.measuring.gauges import gauge
+from casacal.measuring.gauges import HOLD, LONGEST, QUIET, Entry, Inbox, SerialLine, gauge
 from casacal.measuring.session import Session
 from casacal.measuring.touch import Touch
 from casacal.measuring.touch_file import TouchFile
@@ -393,9 +393,11 @@ def test_a_gauge_at_a_serial_line(planned, tmp_path):
     terminal.type("")
     assert f"{world.readings[0]:+09.4f}" in terminal.until("1 made")
     terminal.until("\n> ")
+    time.sleep(QUIET + 0.1)
     os.write(ours, b"ERR0\r\n")
     terminal.until("is an error")
     terminal.until("\n> ")
+    time.sleep(QUIET + 0.1)
     os.write(ours, b"+004.5000\r\n")
     terminal.until("2 made")
     terminal.until("\n> ")
@@ -408,6 +410,154 @@ def test_a_gauge_at_a_serial_line(planned, tmp_path):
     both += readings(tmp_path / "s_check.csv") if (tmp_path / "s_check.csv").exists() else []
     assert sorted(both) == sorted([world.readings[0], 4.5])
     os.close(ours)
+
+
+class Clock:
+    """A time that stands still until it is moved on."""
+
+    now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+def test_a_line_of_the_gauge_counts_once_it_is_asked_for_and_after_silence():
+    clock = Clock()
+    inbox = Inbox(now=clock)
+    inbox.send("1.0")  # before anybody asked
+    inbox.prompted()
+    note = inbox.next()
+    assert note.source == "note"
+    assert note.text.startswith("Not taken: 1.0, which the gauge sent before it was asked for")
+    clock.now += QUIET
+    inbox.send("2.0")
+    clock.now += HOLD / 2
+    inbox.send("2.0")  # the button pressed twice
+    clock.now += HOLD
+    assert inbox.next() == Entry("2.0", "sent"), "the first one counts"
+    assert inbox.next().text.startswith("Not taken: 2.0"), "the second does not"
+    inbox.prompted()
+    clock.now += QUIET - 0.01 - HOLD
+    inbox.send("3.0")
+    note = inbox.next()
+    assert note.source == "note"
+    assert "3.0, which the gauge sent 2.0 s after another line" in note.text
+    inbox.send("3.1")  # said once for each prompt
+    inbox.type("5.5\n")
+    assert inbox.next() == Entry("5.5\n")
+    inbox.take_next()
+    inbox.send("3.2")
+    assert inbox.next() == Entry("3.2", "sent"), "what Enter asked for, at once"
+
+
+@pytest.mark.parametrize("period", [0.01, HOLD / 3, QUIET / 2])
+def test_a_stream_fills_no_touch_and_the_keyboard_comes_first(period):
+    clock = Clock()
+    inbox = Inbox(now=clock)
+    inbox.send("7.0")
+    for touch in range(5):
+        inbox.prompted()
+        for _ in range(1000):
+            clock.now += period
+            inbox.send("7.1")
+        inbox.type("u\n")
+        assert inbox.next() == Entry("u\n"), "the keyboard comes first"
+        assert inbox.next().source == "note", touch
+        inbox.take_next()
+        inbox.send("7.2")
+        inbox.send("7.3")
+        assert inbox.next() == Entry("7.2", "sent"), "what Enter asked for"
+
+
+@pytest.mark.parametrize("period", [0.001, HOLD / 3])
+def test_the_first_lines_of_a_stream_are_no_reading(period):
+    clock = Clock()
+    inbox = Inbox(now=clock)
+    inbox.prompted()
+    for _ in range(1000):
+        inbox.send("7.1")
+        clock.now += period
+    note = inbox.next()
+    assert note.source == "note"
+    assert "s after another line" in note.text
+    inbox.type(None)
+    assert inbox.next() is None
+
+
+@pytest.mark.parametrize("line", ["u", "q", "k", "undo", "c 1", "h", "?", "1 2 3 4 5 6 3.2", "3.2 wall", "", "x"])
+def test_a_line_of_the_gauge_is_only_ever_a_reading(hsr, planned, line):
+    session = Session(hsr.problem, planned[1])
+    session = answered(session, session.next(), "3.2", PLAIN).session
+    answer = answered(session, session.next(), line, PLAIN, sent=True)
+    assert answer.session is session
+    assert not answer.ended
+    assert answer.said
+    assert len(answered(session, session.next(), "3.3 mm", PLAIN, sent=True).session) == 2
+
+
+def test_a_gauge_whose_button_is_pressed_twice_and_that_is_unplugged(planned, tmp_path):
+    """The last reading again is asked about; commands from the gauge are none; loss and return are said."""
+    pytest.importorskip("serial")
+    path, _, world = planned
+    ours, theirs = pty.openpty()
+    port = tmp_path / "port"
+    port.symlink_to(os.ttyname(theirs))
+    usual = ("--plan", path, "--out", tmp_path / "s.csv", "--serial", port)
+    terminal = Terminal(HSR, *usual)
+    assert "Waiting for touch 1: reading in mm, from the gauge or typed" in terminal.until("\n> ")
+    sent = f"{world.readings[0]:.3f}\r".encode()
+    os.write(ours, sent + sent)
+    assert "Not taken" not in terminal.until("1 made")
+    assert "s after another line" in terminal.until("\n> Not taken") + terminal.until("Enter")
+    terminal.until("\n> ")
+    time.sleep(QUIET + 0.1)
+    os.write(ours, sent)
+    terminal.until("the reading of the last touch again. Was it read here?")
+    terminal.until("\n> ")
+    time.sleep(QUIET + 0.1)
+    os.write(ours, b"q\r")
+    terminal.until("'q' is not a reading")
+    terminal.until("\n> ")
+    os.close(ours)
+    os.close(theirs)
+    terminal.until("is gone. Plug it in again")
+    ours, theirs = pty.openpty()
+    port.unlink()
+    port.symlink_to(os.ttyname(theirs))
+    terminal.until("The gauge is back")
+    terminal.until("> ")
+    time.sleep(QUIET + 0.1)
+    os.write(ours, sent)
+    terminal.until("Was it read here?")
+    terminal.until("\n> ")
+    terminal.type("y")
+    terminal.until("2 made")
+    terminal.type("q")
+    terminal.until("casacal calibrate judges that")
+    assert terminal.over() == 0
+    both = readings(tmp_path / "s.csv")
+    both += readings(tmp_path / "s_check.csv") if (tmp_path / "s_check.csv").exists() else []
+    assert both == pytest.approx([round(world.readings[0], 3)] * 2)
+    os.close(ours)
+
+
+def test_a_line_without_end_is_not_kept():
+    pytest.importorskip("serial")
+    ours, theirs = pty.openpty()
+    line = SerialLine(os.ttyname(theirs))
+    found = []
+    reader = threading.Thread(target=lambda: found.extend(line.lines()), daemon=True)
+    reader.start()
+    for _ in range(64):
+        os.write(ours, b"A" * 1024)
+    os.write(ours, b"\r3.5\r")
+    limit = time.monotonic() + 20
+    while len(found) < 2 and time.monotonic() < limit:
+        time.sleep(0.02)
+    line.close()
+    os.close(ours)
+    assert found[-1] == "3.5"
+    assert all(len(each) <= LONGEST for each in found)
 
 
 def test_one_of_several_instruments_is_planned_for_and_read(tmp_path, monkeypatch, capsys):

@@ -222,7 +222,8 @@ def _faces_of(problem: Problem, fresh: Fresh) -> Cell | None:
         way = 2 * float(np.linalg.norm(tips[rows] - middle, axis=1).max()) / np.sqrt(2)
         side = max(WIDER * way, LEAST)
         faces.append(Face(label, tuple(middle.tolist()), tuple(normal.tolist()), (side, side)))
-    return Cell(faces=tuple(faces)) if faces else None
+    # a face below the base plane was touched: the table is no higher
+    return Cell(faces=tuple(faces), table=min(0.0, *(face.lowest for face in faces))) if faces else None
 
 
 def write_touches(path: str | Path, found: Change, layout: Layout, name: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
 from casacal.cli.common import add, box_of
@@ -130,8 +131,31 @@ def number_or_range(text: str) -> float | tuple[float, float]:
         raise argparse.ArgumentTypeError(f"'{text}' is no number, nor a range of two such as -5:5") from None
 
 
+TABLE = (
+    "--table Z",
+    "height of what the arm stands on, mm, base frame: nothing goes below it; default: 0, the base plane; -inf: none",
+)
+
+
+def on_table(source: ProblemFile, options: argparse.Namespace) -> ProblemFile:
+    """The same with the table that was named, and faces above it where the problem file has no cell of its own."""
+    from casacal.problem.cell import Disturbances
+    from casacal.simulation.touches import default_cell
+
+    problem = source.problem
+    faced = [name for name, each in zip(problem.names, problem.instruments, strict=True) if each.probe is not None]
+    table = 0.0 if options.table is None else options.table
+    cell = source.cell
+    if cell is None:
+        cell = default_cell(problem.measured_by(faced[0]), table=table) if faced else Disturbances(table=table)
+    elif options.table is not None:
+        cell = replace(cell, table=table)
+    return replace(source, cell=cell)
+
+
 def add_clearance(parser: argparse.ArgumentParser) -> None:
-    """Boxes, the thickness of links, and shapes of a URDF."""
+    """The table, boxes, the thickness of links, and shapes of a URDF."""
+    add(parser, *TABLE, kind=float)
     words = "a box, mm, base frame, that arm and tool must avoid; may be repeated"
     add(parser, "--keep-out X0:X1,Y0:Y1,Z0:Z1 ...", words)
     add(parser, "--link-radius MM", "radius of the links, to keep clear of boxes, faces and each other", kind=float)

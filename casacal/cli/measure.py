@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import os
-import queue
 import sys
 import threading
 from collections.abc import Iterator
@@ -13,13 +12,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from casacal.cli.adjust import add_clearance, add_where, clearance_of, where
+from casacal.cli.adjust import add_clearance, add_where, clearance_of, on_table, where
 from casacal.cli.common import DONE, FAILED, PROBLEM, add, of_instrument, spare, whole_number
 from casacal.cli.terminal import prompt, say_paragraphs
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
-    from casacal.measuring.gauges import Gauge, SerialLine
+    from casacal.measuring.gauges import Entry, Gauge, SerialLine
     from casacal.measuring.session import Session
     from casacal.measuring.touch_file import TouchFile
     from casacal.planning.route import Route
@@ -64,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
     source = of_instrument(load_problem(options.problem), options.instrument)
     spare([options.out], *(file.path for file in source.files), options.plan, options.targets)
     meter = gauge(options.gauge, pattern=options.pattern, unit=options.unit, asks=options.ask)
-    session, file = _begun(source, options)
+    session, file = _begun(on_table(source, options), options)
     line = None
     if options.serial is not None:
         line = SerialLine(options.serial, baud=options.baud, **_frame(options.frame))
@@ -130,10 +129,11 @@ def _labelled(route: Route, source: ProblemFile, session: str | None) -> Route:
 
 def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | None) -> Session:
     """The session after its operator ended it, or it was at its end."""
-    from casacal.measuring.conversation import answered, doubt, ended, posture
+    from casacal.measuring.conversation import answered, doubt, ended, posture, repeats_last, waiting
 
     say_paragraphs(*doubt(session), "h: help; q: end")
-    typed, sizes = _lines(line), file.sizes()
+    entered, sizes = _entries(line, meter, reads=bool(file.layout.columns)), file.sizes()
+    again: Entry | None = None  # the last reading once more, about which the operator is asked
     while True:
         proposed = session.next()
         if session.alarm is None:
@@ -142,16 +142,23 @@ def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | No
             if proposed.number is None and not _further(session):
                 break
             say_paragraphs(posture(proposed, file.layout))
-        prompt("> ")
-        entered = next(typed, None)
-        if entered is None:
+        say_paragraphs(waiting(session, proposed, by_gauge=line is not None))
+        entry = next(entered, None)
+        if entry is None:
             break
-        if not entered.strip():
-            if line is not None and meter.asks:
-                line.ask(meter.asks)
-            elif file.layout.columns or session.alarm is not None or proposed is None:
-                continue
-        answer = answered(session, proposed, entered, meter)
+        if again is not None and entry.source == "typed" and entry.text.strip().lower() in ("y", "yes"):
+            entry, again = again, None
+        elif entry.source == "sent" and repeats_last(session, entry.text, meter):
+            say_paragraphs(
+                f"The gauge sent {entry.text.strip()}, the reading of the last touch again. Was it read here? y takes "
+                "it; otherwise send another"
+            )
+            again = entry
+            continue
+        again = None
+        if not entry.text.strip() and (file.layout.columns or session.alarm is not None or proposed is None):
+            continue
+        answer = answered(session, proposed, entry.text, meter, sent=entry.source == "sent")
         if answer.change != "none" and file.sizes() != sizes:
             fix = "End the other session, and go on with this command"
             raise CasacalError(f"another program changed '{file.path}'", fix)
@@ -185,30 +192,49 @@ def _further(session: Session) -> bool:
     return True
 
 
-def _lines(line: SerialLine | None) -> Iterator[str]:
-    """Lines of the keyboard, and of the gauge as they come."""
+def _entries(line: SerialLine | None, meter: Gauge, *, reads: bool) -> Iterator[Entry]:
+    """What is typed and what the gauge sends, each after a prompt of its own; ends with the keyboard's lines.
+
+    reads: whether Enter alone asks the gauge; else it is a touch.
+    """
+    from casacal.measuring.gauges import Entry, Inbox
+
     if line is None:
-        yield from sys.stdin
+        prompt("> ")
+        for typed in sys.stdin:
+            yield Entry(typed)
+            prompt("> ")
         return
-    come: queue.Queue[str | None] = queue.Queue()
+    inbox = Inbox()
 
     def of_keyboard() -> None:
         held = b""  # read without a buffer of Python's, whose lock would outlive this thread
         while data := os.read(sys.stdin.fileno(), 1024):
             *whole, held = (held + data).split(b"\n")
             for typed in whole:
-                come.put(typed.decode(errors="replace"))
-        come.put(None)
+                inbox.type(typed.decode(errors="replace"))
+        inbox.type(None)
 
-    def of_gauge() -> None:
-        for sent in line.lines():
-            say_paragraphs(sent)
-            come.put(sent)
-
-    for source in (of_keyboard, of_gauge):
+    for source in (of_keyboard, lambda: line.listen(inbox)):
         threading.Thread(target=source, daemon=True).start()
-    while (entered := come.get()) is not None:
-        yield entered
+    while True:
+        prompt("> ")
+        inbox.prompted()
+        while (entry := inbox.next()) is not None:
+            if reads and entry.source == "typed" and not entry.text.strip():
+                inbox.take_next()
+                if meter.asks:
+                    line.ask(meter.asks, inbox)
+                continue
+            if entry.source != "note":
+                break
+            say_paragraphs(entry.text)
+            prompt("> ")
+        if entry is None:
+            return
+        if entry.source == "sent":
+            say_paragraphs(entry.text)
+        yield entry
 
 
 def _frame(text: str) -> dict[str, Any]:

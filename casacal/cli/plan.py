@@ -8,7 +8,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.adjust import add_clearance, add_where, clearance_of, stds_of, where
+from casacal.cli.adjust import add_clearance, add_where, clearance_of, on_table, stds_of, where
 from casacal.cli.common import DONE, JSON, PROBLEM, add, of_instrument, spare, spare_measured, whole_number
 from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
     """Plan as the options say; returns 0."""
     from casacal.planning.route import FIT
     from casacal.planning.set_ups import POOL, set_ups
-    from casacal.planning.written import document, told
+    from casacal.planning.written import cell_words, document, told
     from casacal.problem.problem_file import load_problem
 
     if options.touches is not None and options.tolerance is not None:
@@ -72,6 +72,7 @@ def run(options: argparse.Namespace) -> int:
     spare(outs, *(file.path for file in source.files), source.samples, options.targets, options.after)
     spare_measured(outs)
     warned = _wrong_with(source, options)
+    source = on_table(source, options)
     clearance = clearance_of(options, source.problem)
     found = _planned(source, options, clearance)
     written = _written(source, options, found, clearance)
@@ -82,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
         compared = set_ups(source.problem, source.cell, touches=fitted, box=box, targets=targets, seed=options.seed)
     warned = [*_too_few(source, found, fitted, options), *warned]
     if options.json:
-        say_json({**document(found, compared, written, clearance), "warnings": warned})
+        say_json({**document(found, source.problem, compared, written, clearance), "warnings": warned})
         return DONE
     there = "inside the box" if options.box else "over the workspace" if options.targets is None else "at the targets"
     said = told(
@@ -94,7 +95,7 @@ def run(options: argparse.Namespace) -> int:
         every=options.setups,
         kept_clear=clearance is not None,
     )
-    say_paragraphs(*said)
+    say_paragraphs(*cell_words(found, source.problem, clearance), *said)
     if clearance is not None and clearance.shapes is not None and clearance.shapes.words:
         say_paragraphs(clearance.shapes.words)
     say_paragraphs(*(f"warning: {each}" for each in warned), *(f"Written: {place}" for place in written))
@@ -172,12 +173,12 @@ def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clea
     from casacal.fieldwork.approaches import approaches
     from casacal.fieldwork.handouts import PROGRAMS, program_text, sheet_page
     from casacal.files import write_text
-    from casacal.planning.written import plan_text
+    from casacal.planning.written import cell_words, plan_text
 
     problem, name = source.problem, source.name
-    texts = {Path(options.out): plan_text(found, problem, name)}
+    texts = {Path(options.out): plan_text(found, problem, name, clearance)}
     if options.sheet is not None:
-        texts[Path(options.sheet)] = sheet_page(problem, found, name)
+        texts[Path(options.sheet)] = sheet_page(problem, found, name, cell_words(found, problem, clearance))
     if options.program:
         ways = approaches(problem, found, source.cell, retreat=options.retreat, clearance=clearance)
         for language in dict.fromkeys(options.program):

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.adjust import number_or_range
+from casacal.cli.adjust import TABLE, number_or_range, on_table
 from casacal.cli.common import DONE, JSON, PROBLEM, add, spare, whole_number
 from casacal.cli.simulate_plan import compared, left_out, parted, route_of
 from casacal.cli.terminal import say_json, say_paragraphs
@@ -65,6 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         add(parser, f"--{name} {unit}", words, kind=float)
     words = "transmission error of every turning joint, harmonic=amplitude in rad, such as 1=1e-4; may be repeated"
     add(parser, "--gear-wave ORDER=RAD ...", words, kind=_wave, dest="gear_waves")
+    add(parser, *TABLE, kind=float)
     add(parser, "--repeats N", "touches of each place in a row", kind=whole_number)
     words = "side from which joints and plunger approach; same: from the row before, with the plunger pushed in"
     add(parser, "--approach", words, choices=("same", "alternating", "random"))
@@ -198,12 +199,12 @@ def _wave(text: str) -> tuple[int, float]:
 
 
 def _cell(source: ProblemFile, options: argparse.Namespace) -> Disturbances:
-    from casacal.problem.cell import AMOUNTS, OF_FACES, Disturbances
-    from casacal.simulation.touches import default_cell
+    from casacal.problem.cell import AMOUNTS, OF_FACES
 
     instrument, problem = source.problem.instruments[0], source.problem
     faced = [name for name, each in zip(problem.names, problem.instruments, strict=True) if each.probe is not None]
-    cell = source.cell or (default_cell(problem.measured_by(faced[0])) if faced else Disturbances())
+    cell = on_table(source, options).cell
+    assert cell is not None
     asked = [name.replace("_", "-") for name in OF_FACES if getattr(options, name) is not None]
     if asked and not faced:
         raise CasacalError(f"--{asked[0]} is about faces, and {type(instrument).__name__} touches none", "Leave it out")

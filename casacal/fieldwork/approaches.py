@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Rows
 from casacal.errors import CasacalError
 from casacal.planning.choice import cell_of, drawn_touch
 from casacal.planning.clearance import Clearance
@@ -17,6 +17,7 @@ from casacal.planning.route import Route
 from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import inside_limits
+from casacal.robots.links import above_table
 from casacal.simulation.reach import Touch
 from casacal.values import Value
 
@@ -76,7 +77,8 @@ def approaches(
     levels = [level[back] for level in levels]
     chosen, clear = np.zeros(int(back.sum()), dtype=int), np.ones(int(back.sum()), dtype=bool)
     if isinstance(still, Cell):
-        is_clear = partial(_is_clear, arm, still, clearance)
+        stands = above_table(problem.robot, still.table, (clearance and clearance.link_radius) or 0.0)
+        is_clear = partial(_is_clear, arm, still, clearance, stands)
         for k in range(1, len(clear)):
             clear[k] = _raised(is_clear, levels, chosen, k)
     above = np.array([levels[level][k] for k, level in enumerate(chosen)])
@@ -118,8 +120,15 @@ def _raised(clear: Clear, levels: list[Array], chosen: NDArray[np.intp], k: int)
     return False
 
 
-def _is_clear(arm: Touch, cell: Cell, clearance: Clearance | None, start: Array, end: Array) -> bool:
-    """Whether the straight way of the joints between two postures keeps off faces, and off all else that is said."""
+def _is_clear(
+    arm: Touch,
+    cell: Cell,
+    clearance: Clearance | None,
+    stands: Callable[[Array, Array], Rows],
+    start: Array,
+    end: Array,
+) -> bool:
+    """Whether the straight way of the joints between two postures keeps off faces, table and all else that is said."""
     part = np.linspace(0, 1, ON_THE_WAY)[:, None]
     joints = start * (1 - part) + end * part
     tips, _ = arm.place(arm.local, joints, np.zeros((len(joints), 1)))
@@ -129,6 +138,8 @@ def _is_clear(arm: Touch, cell: Cell, clearance: Clearance | None, start: Array,
         height = local[over, 0]
         if (height < FREE).any() and not (height < -FREE).all():  # wholly behind it, it is another side's matter
             return False
+    if not stands(joints, tips).all():
+        return False
     return clearance is None or bool(clearance.clear(arm.robot, None, joints, tips).all())
 
 

@@ -7,7 +7,7 @@ each with a picture of the posture and what to expect.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,9 +20,9 @@ from casacal.errors import ProblemError, refuse_unknown
 from casacal.fieldwork.approaches import Approaches
 from casacal.pages.drawing import tag, together
 from casacal.pages.render import rendered
-from casacal.planning.clearance import nodes_of
 from casacal.planning.route import Route, joints_shown
 from casacal.problem.problem import Problem
+from casacal.robots.links import nodes_of
 from casacal.samples.write import WRITTEN
 from casacal.values import FrozenMapping
 from casacal.wording import sentence
@@ -126,10 +126,10 @@ def program_text(problem: Problem, route: Route, ways: Approaches, language: str
 WIDE, HIGH = 64.0, 46.0  # size of a picture, in its own units
 
 
-def sheet_page(problem: Problem, route: Route, name: str) -> str:
+def sheet_page(problem: Problem, route: Route, name: str, notes: Sequence[str] = ()) -> str:
     """HTML of the sheet: one file that needs no other, to be printed from any browser.
 
-    name: of the problem.
+    name: of the problem. notes: sentences about the cell, above the touches.
     """
     layout, samples, pictures = problem.layout(), route.samples, _pictures(problem, route)
     joints = [f"q{i}{_unit(kind)}" for i, kind in enumerate(layout.joints, 1)]
@@ -151,7 +151,7 @@ def sheet_page(problem: Problem, route: Route, name: str) -> str:
     titles = ["", *([] if pictures is None else ["posture"]), *layout.labels, *joints, *expected, *read]
     approach = problem.instrument.words.approach
     said = {"robot": problem.robot.name, "name": name, "approach": sentence(approach) if approach else ""}
-    context = {**said, "titles": titles, "rows": rows, "blanks": len(read)}
+    context = {**said, "notes": notes, "titles": titles, "rows": rows, "blanks": len(read)}
     return rendered("sheet.html", context)
 
 

@@ -13,12 +13,25 @@ from casacal.measuring.examine import Suspected
 from casacal.measuring.gauges import Gauge
 from casacal.measuring.session import Session
 from casacal.measuring.touch import Touch, refuse_beyond_travel
-from casacal.measuring.typed import CORRECT, HELP, KEEP, QUIT, SKIP, Command, command_of, help_words, touch_of
+from casacal.measuring.typed import (
+    CORRECT,
+    HELP,
+    KEEP,
+    QUIT,
+    SKIP,
+    Command,
+    command_of,
+    help_words,
+    in_unit,
+    read_by,
+    touch_of,
+)
 from casacal.planning.route import joints_shown
 from casacal.samples.layout import Layout
 from casacal.samples.write import WRITTEN
 from casacal.wording import counted
 
+ALIKE = 1e-9  # mm or rad by which equal readings differ
 UNLIKELY = 0.01  # chance of touches kept to verify below which they do not agree with the others
 
 
@@ -32,16 +45,19 @@ class Answer:
     ended: bool = False
 
 
-def answered(session: Session, proposed: Touch | None, line: str, gauge: Gauge) -> Answer:
-    """Answer a line; what cannot be understood or done is said, and changes nothing."""
+def answered(session: Session, proposed: Touch | None, line: str, gauge: Gauge, *, sent: bool = False) -> Answer:
+    """Answer a line; what cannot be understood or done is said, and changes nothing.
+
+    sent: whether the gauge sent it: then it can only be a reading.
+    """
     try:
-        command = command_of(line)
+        command = None if sent else command_of(line)
         if command is not None:
             return _obeyed(session, proposed, command)
         if session.alarm is not None:
             return Answer(session, ("Answer first, by u, c or k", *doubt(session)))
         layout = session.problem.layout()
-        typed = touch_of(line, layout, proposed, gauge)
+        typed = read_by(gauge, line, layout, proposed) if sent else touch_of(line, layout, proposed, gauge)
         columns = dict(zip(layout.columns, typed.readings, strict=True))
         refuse_beyond_travel(session.problem, columns)
         after = session.take(
@@ -82,6 +98,29 @@ def _obeyed(session: Session, proposed: Touch | None, command: Command) -> Answe
         done, after = "taken back", session.undo(None if number is None else there[number])
     stands = (_told(after),) if len(after) and after.alarm is None else ()
     return Answer(after, (done, *stands, *doubt(after)), "changed")
+
+
+def repeats_last(session: Session, line: str, gauge: Gauge) -> bool:
+    """Whether a line of the gauge is the reading of the last touch again, as where its button was pressed twice."""
+    columns = list(session.problem.layout().columns.items())
+    if len(columns) != 1 or not len(session) or session.alarm is not None:
+        return False
+    (name, kind), last = columns[0], session.touches[-1]
+    try:
+        return abs(gauge.reading(line, kind) - last.columns[name]) < ALIKE
+    except CasacalError:
+        return False
+
+
+def waiting(session: Session, proposed: Touch | None, *, by_gauge: bool) -> str:
+    """What is waited for, for whoever comes back to the terminal."""
+    if session.alarm is not None:
+        return f"Waiting for an answer about touch {session.shown(session.alarm.touch)}: u, c or k"
+    read = ", ".join(f"{name}{in_unit(kind)}" for name, kind in session.problem.layout().columns.items())
+    number = "one more touch" if proposed is None or proposed.number is None else f"touch {proposed.number}"
+    if not read:
+        return f"Waiting for {number}: Enter when the tip touches"
+    return f"Waiting for {number}: {read}, {'from the gauge or typed' if by_gauge else 'typed'}"
 
 
 def posture(touch: Touch, layout: Layout) -> str:

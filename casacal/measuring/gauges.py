@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from casacal.errors import CasacalError, refuse_unknown
 from casacal.instruments.description import Dimension
@@ -122,18 +125,18 @@ class SerialLine:
         except ImportError:
             raise CasacalError("pyserial is not installed", "Install it with pip install pyserial") from None
         try:
+            self._closed = threading.Event()
             self._line: serial.Serial = serial.Serial(port, baud, bits, parity, stops, timeout=0.2)
         except (serial.SerialException, ValueError, OSError) as error:
             said = " ".join(str(error).split())
             raise CasacalError(f"The port {port} cannot be used ({said})", "Check its name and settings") from None
 
-    def ask(self, text: str) -> None:
-        """Send something, such as a request for a reading; raises CasacalError when the line is gone."""
+    def ask(self, text: str, inbox: Inbox) -> None:
+        """Send something, such as a request for a reading; where the line is gone, a note in an inbox says so."""
         try:
             self._line.write(text.encode("ascii", errors="replace"))
         except OSError as error:
-            fix = "Plug it in again and continue"
-            raise CasacalError(f"The connection to the gauge was lost ({error})", fix) from None
+            inbox.note(f"The gauge cannot be asked ({error}). Plug it in again, or type the readings")
 
     def lines(self) -> Iterator[str]:
         """Lines as they come, ended by a carriage return, a line feed or both; ends when the line is closed or gone."""
@@ -143,12 +146,120 @@ class SerialLine:
                 held += self._line.read(self._line.in_waiting or 1)
             except (OSError, TypeError):  # pyserial's word for a port that was closed meanwhile
                 return
-            held = held.replace(b"\r", b"\n")
-            while b"\n" in held:
-                line, _, held = held.partition(b"\n")
+            *whole, held = held.replace(b"\r", b"\n").split(b"\n")
+            held = held[-LONGEST:]
+            for line in whole:
                 if line.strip():
-                    yield line.decode("ascii", errors="replace")
+                    yield line[-LONGEST:].decode("ascii", errors="replace")
+
+    def listen(self, inbox: Inbox) -> None:
+        """Put what comes into an inbox until `close`; says there when the gauge is gone and when it is back."""
+        while True:
+            for line in self.lines():
+                inbox.send(line)
+            if self._closed.is_set():
+                return
+            inbox.note(f"The gauge at {self._line.port} is gone. Plug it in again, or type the readings")
+            self._line.close()
+            while not self._back():
+                if self._closed.wait(RETRY):
+                    return
+            inbox.note("The gauge is back")
+
+    def _back(self) -> bool:
+        try:
+            self._line.open()
+        except (OSError, ValueError, TypeError):
+            return False
+        return True
 
     def close(self) -> None:
         """Give the port back."""
+        self._closed.set()
         self._line.close()
+
+
+LONGEST = 200  # bytes of a line that are kept: no reading has more
+RETRY = 1.0  # seconds between two attempts to find a lost gauge again
+QUIET = 2.0
+"""Seconds without a line before one counts that nobody asked for: not what a button sends that is pressed twice, nor
+any of a stream. Nobody brings an arm to its next posture in less."""
+HOLD, STREAM = 0.3, 2  # seconds in which so many more lines show that a gauge sends without end, and not its button
+
+
+class Entry(NamedTuple):
+    """What came: a line that was typed, one that a gauge sent, or a note to the operator."""
+
+    text: str
+    source: Literal["typed", "sent", "note"] = "typed"
+
+
+class Inbox:
+    """What is typed and what a gauge sends while somebody is asked for a reading; the keyboard comes first.
+
+    Of a gauge at most one line waits. It counts only if it came after the prompt, and either `QUIET` seconds after the
+    gauge's line before it or after `take_next`; of a line that nobody asked for it is seen, for `HOLD` seconds, whether
+    it begins a stream. What does not count is dropped, and one note for each prompt says so.
+    """
+
+    def __init__(self, *, now: Callable[[], float] = time.monotonic) -> None:
+        self._now, self._came = now, threading.Condition()
+        self._typed, self._notes = deque[str | None](), deque[str]()
+        self._sent: str | None = None
+        self._last, self._due, self._more = -math.inf, 0.0, 0
+        self._open, self._wanted, self._told = False, False, False
+
+    def type(self, line: str | None) -> None:
+        """A line of the keyboard; None where there will be no more."""
+        with self._came:
+            self._typed.append(line)
+            self._came.notify()
+
+    def send(self, line: str) -> None:
+        """A line of the gauge."""
+        with self._came:
+            quiet, self._last = self._now() - self._last, self._now()
+            if self._open and (self._wanted or quiet >= QUIET):
+                self._sent, self._open, self._more = line, False, 0
+                self._due = self._last + (0.0 if self._wanted else HOLD)
+            else:
+                asked, self._more = self._open or self._sent is not None, self._more + 1
+                if self._sent is not None and self._more >= STREAM and self._last < self._due:
+                    self._sent, self._open = None, True
+                if not self._told:
+                    why = f"{quiet:.1f} s after another line" if asked else "before it was asked for"
+                    self._notes.append(
+                        f"Not taken: {line.strip()}, which the gauge sent {why}. Send it again after {QUIET:g} s, or "
+                        "press Enter to take its next line"
+                    )
+                self._told = True
+            self._came.notify()
+
+    def note(self, words: str) -> None:
+        """Something that the operator is to know."""
+        with self._came:
+            self._notes.append(words)
+            self._came.notify()
+
+    def prompted(self) -> None:
+        """From now on a reading is waited for."""
+        with self._came:
+            self._sent, self._open, self._wanted, self._told = None, True, False, False
+
+    def take_next(self) -> None:
+        """Whatever the gauge sends next is wanted, be it one of a stream."""
+        with self._came:
+            self._sent, self._wanted, self._open = None, True, True
+
+    def next(self) -> Entry | None:
+        """Wait for what comes; None at the end of the keyboard's lines."""
+        with self._came:
+            while not self._typed and (self._sent is None or self._now() < self._due):
+                if self._sent is None and self._notes:
+                    return Entry(self._notes.popleft(), "note")
+                self._came.wait(None if self._sent is None else max(self._due - self._now(), 0.0))
+            if self._typed:
+                typed = self._typed.popleft()
+                return None if typed is None else Entry(typed)
+            sent, self._sent = self._sent, None
+            return Entry(sent or "", "sent")

@@ -105,6 +105,20 @@ def touch_of(line: str, layout: Layout, planned: Touch | None, gauge: Gauge) -> 
     raise CasacalError(f"{counted(count, 'number')} came", fix)
 
 
+def read_by(gauge: Gauge, line: str, layout: Layout, planned: Touch | None) -> Typed:
+    """The planned touch with what a gauge's line reads; raises CasacalError for a line that is anything else."""
+    kinds = list(layout.columns.values())
+    if planned is None:
+        raise CasacalError("No touch is waited for", "Type the joint values and the reading")
+    if len(kinds) == 1:
+        return Typed(planned.joints, (gauge.reading(line, kinds[0]),), _labels((), layout, planned))
+    cells = [cell for cell in re.split(r"[\s;,]+", gauge.refuse_error(line)) if cell]
+    if len(cells) != len(kinds) or not all(NUMBER.fullmatch(cell) for cell in cells):
+        raise CasacalError(f"The gauge sent {line.strip()!r}", f"A line of it is {counted(len(kinds), 'number')}")
+    read = tuple(_number(cell) / WRITTEN[kind][1] for cell, kind in zip(cells, kinds, strict=True))
+    return Typed(planned.joints, read, _labels((), layout, planned))
+
+
 def _number(text: str) -> float:
     return float(text.strip().replace(",", "."))
 

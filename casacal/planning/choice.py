@@ -12,12 +12,13 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.nominal import nominal_tips
 from casacal.binding.slots import instances
-from casacal.errors import CasacalError, came
+from casacal.errors import CasacalError, SimulationError, came
 from casacal.instruments.description import Probe
 from casacal.planning.clearance import Clearance
 from casacal.planning.exchange import Chosen, Criterion, error_of, exchange
 from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
+from casacal.robots.links import STILL, above_table
 from casacal.samples.samples import Samples, joined
 from casacal.simulation.reach import Touch
 from casacal.simulation.simulate import simulate
@@ -48,6 +49,8 @@ def cell_of(problem: Problem, cell: Disturbances | None) -> Disturbances:
     still = Disturbances()
     if isinstance(cell, Cell):
         still = Cell(faces=cell.faces, tilt=cell.tilt, travel=cell.travel)
+    if cell is not None:
+        still = replace(still, table=cell.table)
     return replace(still, error_scale=0.0, repeatability=0.0, resolution=0.0)
 
 
@@ -63,26 +66,39 @@ def drawn_touch(problem: Problem, probe: Probe, samples: Samples) -> tuple[Touch
 def pool_of(
     problem: Problem, cell: Disturbances | None, count: int, seed: int, clearance: Clearance | None = None
 ) -> Samples:
-    """Touches that the arm as drawn could make, without any error.
+    """Touches that the arm as drawn could make, without any error, above the cell's table.
 
-    Raises SimulationError where faces are out of reach, CasacalError where hardly a touch keeps clear.
+    Raises SimulationError where faces are out of reach or below the table, CasacalError where hardly a touch keeps
+    clear.
     """
     still = cell_of(problem, cell)
-    if clearance is None:
-        return simulate(problem, still, samples=count, seed=seed).samples
+    faces = still if isinstance(still, Cell) else None
+    for face in () if faces is None else faces.faces:
+        if face.lowest < still.table - STILL:
+            what = (
+                f"Face '{face.label}' reaches down to z = {face.lowest:.0f} mm, and the table is at {still.table:g} mm"
+            )
+            raise SimulationError(what, "Say where the table is: --table Z, or Cell(..., table=Z)")
+    stands = above_table(problem.robot, still.table, (clearance and clearance.link_radius) or 0.0)
     found: Samples | None = None
     for k in range(ROUNDS):
         drawn, tried = simulate(problem, still, samples=count, seed=seed + 7919 * k).samples, count * (k + 1)
-        faces = still if isinstance(still, Cell) else None
-        good = np.flatnonzero(clearance.clear(problem.robot, faces, drawn.joints, nominal_tips(problem, 0, drawn)))
+        tips = nominal_tips(problem, 0, drawn)
+        clear = stands(drawn.joints, tips)
+        if clearance is not None:
+            clear &= clearance.clear(problem.robot, faces, drawn.joints, tips)
+        good = np.flatnonzero(clear)
         found = drawn.take(good) if found is None else joined(found, drawn.take(good))
         if len(found) >= count:
             return found.take(range(count))
         if len(found) < RARE * tried:
             break
     assert found is not None
-    what = f"Only {len(found)} of {tried} reachable touches keep clear of boxes, faces and the arm itself"
-    fix = "Make the boxes or --link-radius smaller, move the faces, or ignore the shapes of the URDF (--ignore-shapes)"
+    what = f"Only {len(found)} of {tried} reachable touches keep above the table at z = {still.table:g} mm"
+    fix = "Say where the table is (--table Z, or Cell(..., table=Z)), or move the faces"
+    if clearance is not None:
+        what += ", and clear of boxes, faces and the arm itself"
+        fix += "; make the boxes or --link-radius smaller, or ignore the shapes of the URDF (--ignore-shapes)"
     raise CasacalError(what, fix)
 
 

@@ -11,7 +11,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +18,7 @@ from casacal.array_types import Array
 from casacal.errors import CasacalError
 from casacal.planning.link_shapes import Body, LinkShapes
 from casacal.problem.cell import Cell
-from casacal.robots.links import Links
+from casacal.robots.links import nodes_of
 from casacal.robots.robot import Robot
 from casacal.uncertainty.expectation import Box
 from casacal.unknowns.fits import transform
@@ -77,15 +76,6 @@ class Clearance(Value):
             for face in cell.faces:
                 good &= ~near_face(arm, np.asarray(face.centre), face.axes, np.asarray(face.size) / 2, radius)
         return good & ~_near_itself(points, radius)
-
-
-def nodes_of(robot: Robot, joints: Array) -> Array:
-    """Base, places on the links, and flange (N, n + 1, 3; mm) of an arm as drawn; ProblemError where it is no chain."""
-    links, q = Links.of(robot), ca.SX.sym("q", joints.shape[1])
-    model = q if links.conventions is None else links.conventions.to_model(q)
-    places = ca.Function("places", [q], [ca.horzcat(*links.carried(model))])
-    found = np.array(places.map(len(joints))(joints.T)).reshape(3, -1, order="F").T.reshape(len(joints), -1, 3)
-    return np.concatenate([np.zeros((len(joints), 1, 3)), found], axis=1)
 
 
 def _inside(points: Array, boxes: Sequence[Box], radius: float) -> NDArray[np.bool_]:

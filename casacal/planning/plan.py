@@ -15,7 +15,7 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.slots import instances, make_slots
 from casacal.errors import CasacalError, came, refuse_unknown
-from casacal.planning.choice import Choice, pool_of, refuse_several, seldom, wanted_joints
+from casacal.planning.choice import Choice, cell_of, pool_of, refuse_several, seldom, wanted_joints
 from casacal.planning.clearance import Clearance
 from casacal.planning.exchange import Chosen, Criterion
 from casacal.planning.route import AGAIN, CHECK, FIT, Route, shortest_way
@@ -39,7 +39,7 @@ class Plan(Route):
     the base stands. before: the same without any touch. at_random: of as many touches that nobody chose, the median of
     some. best: of all touches among which was chosen. curve: error by number of fitted touches. if_lost: error when a
     tenth of the fitted touches is lost, the mean of some draws. over_arms: error averaged over arms that the prior
-    allows, where the drawing errs.
+    allows, where the drawing errs. cell: its faces, where there are any, and the table that nothing goes below.
     """
 
     error: float
@@ -49,6 +49,7 @@ class Plan(Route):
     curve: Mapping[int, float]
     if_lost: float = math.nan
     over_arms: float = math.nan
+    cell: Disturbances = Disturbances()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "curve", FrozenMapping(self.curve))
@@ -86,7 +87,7 @@ def plan(
 
     Args:
         problem: a robot with one instrument.
-        cell: where its faces are, and how far the tool may tilt; by default as `simulate` has it.
+        cell: where its faces and the table are, and how far the tool may tilt; by default as `simulate` has it.
         touches: how many in all.
         pool: among how many they are chosen.
         starts: random beginnings, of which the best is taken.
@@ -95,7 +96,7 @@ def plan(
         box: ranges of x, y, z in the base frame (mm) in which the tip is wanted; by default the whole workspace.
         targets: joint values (M, n; rad, mm) at which it is wanted, in place of a box.
         criterion: "tip" as above, or "parameters" for the least volume of what the unknowns may be (D-optimal).
-        clearance: what the arm must keep clear of.
+        clearance: what the arm must keep clear of beside the table; by default its links are not looked at.
         after: touches that were made already; those of the plan come on top of them.
         loose: what may have moved since they were made, by the name of the unknown: standard deviation, rad or mm. The
             fewest touches that restore the zero of a joint after its motor was changed are found so.
@@ -108,7 +109,8 @@ def plan(
     _refuse(touches, pool, starts, again, check)
     refuse_unknown("criterion", [criterion], (each.value for each in Criterion))
     wanted = Criterion(criterion)
-    reachable = pool_of(problem, cell, pool, seed, clearance)
+    still = cell_of(problem, cell)
+    reachable = pool_of(problem, still, pool, seed, clearance)
     bound = bound_pool(problem, reachable, after, loose)
     choice_at = partial(Choice.of, bound, wanted_joints(bound, box, targets), count=pool, loose=loose)
     choice = choice_at()
@@ -136,6 +138,7 @@ def plan(
         choice.curve(best, rng, wanted),
         choice.lost(best, LOST, DRAWS, rng),
         float(np.sqrt(np.mean(np.square(over_arms)))),
+        still,
     )
 
 

@@ -40,6 +40,8 @@ class Disturbances:
         outliers: fraction of rows that are gross.
         outlier_size: their size.
         error_scale: true parameters lie this many prior standard deviations (RMS) from nominal.
+        table: height (mm, base frame) of what the arm stands on. Nothing of arm, tool or face is planned below it; by
+            default the base plane, -inf where there is no table.
 
     """
 
@@ -52,11 +54,14 @@ class Disturbances:
     outliers: float = 0.0
     outlier_size: float = 1.0
     error_scale: float = 1.0
+    table: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "gear_waves", _waves(self.gear_waves))
         if not 0 <= self.outliers < 1:
             raise SimulationError(f"The fraction of outliers is {self.outliers:g}", "Give 0 to less than 1")
+        if not self.table < math.inf:
+            raise SimulationError(f"table of the cell is {self.table!r}", "Give its height in mm, or -inf for none")
         for name, most in AMOUNTS.items():
             value = getattr(self, name, None)
             if value is not None and not 0 <= value < math.inf:
@@ -110,6 +115,12 @@ class Face:
         """Unit normal and the two directions of the sides, as rows (3, 3)."""
         unit = unit_vector(self.normal, f"The normal of face '{self.label}'")
         return np.vstack([unit, tangent_basis(unit).T])
+
+    @property
+    def lowest(self) -> float:
+        """Height (mm, base frame) of its lowest corner."""
+        sides = np.abs(self.axes[1:, 2]) @ np.asarray(self.size) / 2
+        return float(self.centre[2] - sides)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from casacal.errors import CasacalError, ProblemError, came, said
-from casacal.problem.cell import Cell
+from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
 from casacal.user_code import BESIDE, line_of, run_file
 from casacal.values import Value
@@ -45,7 +45,7 @@ class ProblemFile(Value):
     path: str
     sha256: str
     problem: Problem
-    cell: Cell | None
+    cell: Disturbances | None
     files: tuple[SourceFile, ...] = ()
 
     @staticmethod

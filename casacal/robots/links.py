@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Rows
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression, chain, screw, slide, transform_point
 from casacal.robots.joint_space import random_joints
@@ -97,6 +98,63 @@ class Links:
                 raise ProblemError(f"The joints of '{robot.name}' do not carry one another in order", fix)
 
 
+def nodes_of(robot: Robot, joints: Array) -> Array:
+    """Base, places on the links, and flange (N, n + 1, 3; mm) of an arm as drawn; ProblemError where it is no chain."""
+    found = _placed(Links.of(robot), len(robot.axes))(joints)
+    return np.concatenate([np.zeros((len(joints), 1, 3)), found], axis=1)
+
+
+def _placed(links: Links, joints: int) -> Callable[[Array], Array]:
+    """Joint values of the controller (N, n; rad, mm) -> places on the links, the flange last (N, n, 3; mm)."""
+    q = ca.SX.sym("q", joints)
+    model = q if links.conventions is None else links.conventions.to_model(q)
+    places = ca.Function("places", [q], [ca.vec(ca.horzcat(*links.carried(model)))])
+    return lambda values: np.array(places.map(len(values))(values.T)).T.reshape(len(values), -1, 3)
+
+
+def is_chain(robot: Robot) -> bool:
+    """Whether its joints carry one another in order, so that its links are known."""
+    try:
+        Links.of(robot)
+    except ProblemError:
+        return False
+    return True
+
+
+STILL = 1e-6  # mm; a place whose height changes by less stays where the arm was built
+
+
+def above_table(robot: Robot, table: float, radius: float = 0.0) -> Callable[[Array, Array], Rows]:
+    """Which postures (N, n; rad, mm), with their tips (N, 3; mm), hold the drawn arm above a table at a height (mm).
+
+    Joints and flange stay a radius (mm) above it, tips just above. What no joint raises or lowers, such as the base, is
+    not asked. Of an arm that is no chain only the tip is known.
+    """
+    try:
+        links = Links.of(robot)
+    except ProblemError:
+        return lambda _, tips: np.asarray(tips[:, 2] >= table - STILL)
+    hung = (
+        links.places.copy()
+    )  # from the flange inwards, so that upright axes in parallel are as high as what they carry
+    for j in reversed(range(len(hung) - 1)):
+        hung[j] = _foot(links.axes[j + 1], links.points[j + 1], hung[j + 1]) if links.turns[j + 1] else hung[j + 1]
+    placed = _placed(replace(links, places=hung), len(robot.axes))
+    trial = placed(random_joints(robot, 2 * PROOFS, np.random.default_rng(0)))
+    moving = np.ptp(trial[..., 2], axis=0) > STILL
+
+    def stands(joints: Array, tips: Array) -> Rows:
+        heights = placed(joints)[:, moving, 2]
+        return np.asarray((tips[:, 2] >= table - STILL) & (heights >= table + radius - STILL).all(axis=1))
+
+    return stands
+
+
+def _foot(axis: Array, point: Array, place: Array) -> Array:
+    """Where on an axis through a point (3) a place (3) is nearest."""
+    return np.asarray(point + axis * float(axis @ (place - point)))
+
+
 def _twists(pose: ca.Function, joints: int) -> tuple[Array, list[tuple[Array, Array]]]:
     """The pose at zero joint values (4, 4), and each joint's angular and linear velocity in the base frame there."""
     q = ca.SX.sym("q", joints)
@@ -111,7 +169,7 @@ def _places(turns: tuple[bool, ...], axes: Array, points: Array, flange: Array) 
     places, here = np.zeros((len(turns), 3)), np.zeros(3)
     for j in range(len(turns) - 1):
         if turns[j + 1]:
-            here = points[j + 1] + axes[j + 1] * float(axes[j + 1] @ (here - points[j + 1]))
+            here = _foot(axes[j + 1], points[j + 1], here)
         places[j] = here
     places[-1] = flange
     return places

@@ -12,9 +12,10 @@ from casacal.array_types import Array, Index, Rows
 from casacal.errors import SimulationError
 from casacal.instruments.description import Probe, readings_within
 from casacal.kinematics import stacked_poses
-from casacal.problem.cell import Cell, Disturbances, Face, corner
+from casacal.problem.cell import Cell, Disturbances, Face, corner, triple
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import random_joints
+from casacal.robots.links import above_table
 from casacal.simulation.faults import levels
 from casacal.simulation.reach import Touch
 from casacal.simulation.true_arm import true_unknowns
@@ -119,6 +120,8 @@ def _tilted(axes: Array, tilt: float, rng: np.random.Generator) -> Array:
 
 SLOPE = math.radians(15.0)  # inclination of facets against the plunger of an arm that cannot tilt it
 GRAZING = math.radians(75.0)  # tilt at which a tip without a dial still touches
+LEVEL = 0.1  # square of the sine of a plane's slope below which it lies, and its place is not moved along it
+PLATE = 20.0  # mm; how thick a plate is that lies on the table
 ENOUGH = 0.1  # part of the touches of the worst face that must succeed
 
 
@@ -137,10 +140,11 @@ def refuse_lost_steps(problem: Problem, probe: Probe, cell: Cell) -> None:
             raise SimulationError(f"Step '{step}' is no face of the cell", fix)
 
 
-def default_cell(problem: Problem) -> Cell:
+def default_cell(problem: Problem, *, table: float = 0.0) -> Cell:
     """Three faces where this arm touches them most readily; the same for the same problem.
 
-    They stand at right angles, or, for an arm that cannot point its plunger so freely, such as a SCARA, each is
+    They stand above a table (height in mm, base frame), in front of the base (along its x axis) where the arm reaches
+    there. They are at right angles, or, for an arm that cannot point its plunger so freely, such as a SCARA, each is
     inclined against the plunger another way. A problem with one plane gets one face, where it declares the plane.
     Raises SimulationError when no such place is found.
     """
@@ -156,39 +160,65 @@ def default_cell(problem: Problem) -> Cell:
     base = np.median(tips, axis=0)
     reach = float(np.quantile(np.linalg.norm(tips - base, axis=1), 0.9))
     size = min(600.0, 0.4 * reach)
-    chosen = rng.choice(len(tips), 24, replace=False)
-    corners = [_corner_at(tips[k], base, size) for k in chosen]
-    facets = (_facets_at(tips[k], plungers[k], 0.25 * size) for k in chosen)
-    what = f"three faces, at right angles or each inclined by {math.degrees(SLOPE):g} degrees against the plunger"
-    kinds: list[tuple[Iterable[Cell], float]] = [(corners, ENOUGH), (facets, ENOUGH)]
-    if probe.label is None:
-        single, what = _single(problem, corners, size), "one face"
-        grazed = [replace(cell, tilt=GRAZING) for cell in single] if probe.column is None else []
-        kinds = [(single, 0.5), (grazed, ENOUGH), (single, ENOUGH)]
+    outside = np.hypot(tips[:, 0], tips[:, 1]) > size  # where no face stands in the base
+    before = outside & (np.abs(tips[:, 1]) <= tips[:, 0])
+    kinds: list[tuple[Iterable[Cell], float]] = []
+    for where in (before, outside & ~before):
+        some = np.flatnonzero(where)
+        chosen = rng.choice(some, min(24, len(some)), replace=False)
+        corners = [_lifted(_corner_at(tips[k], base, size), table) for k in chosen]
+        facets = (_lifted(_facets_at(tips[k], plungers[k], 0.25 * size), table) for k in chosen)
+        if probe.label is None:
+            single, what = _single(problem, corners, size, table), "one face"
+            grazed = [replace(cell, tilt=GRAZING) for cell in single] if probe.column is None else []
+            kinds += [(single, 0.5), (grazed, ENOUGH), (single, ENOUGH)]
+        else:
+            what = (
+                f"three faces, at right angles or each inclined by {math.degrees(SLOPE):g} degrees against the plunger"
+            )
+            low = [_moved(cell, table + PLATE) for cell in corners if math.isfinite(table)]
+            kinds += [(low, ENOUGH), (corners, ENOUGH), (facets, ENOUGH)]
+    stands = above_table(problem.robot, table)
     for cells, enough in kinds:
         best, share = None, 0.0
         for cell in cells:
             which, count = np.arange(30) % len(cell.faces), len(cell.faces)
-            *_, good = try_touches(touch, probe, cell, which, np.zeros(30), [None] * count, np.random.default_rng(1))
+            found = try_touches(touch, probe, cell, which, np.zeros(30), [None] * count, np.random.default_rng(1))
+            good = found[2] & stands(found[0], touch(*found[:2])[0])
             reached = float(min(good[which == i].mean() for i in range(count)))
             if reached > share:
                 best, share = cell, reached
         if best is not None and share >= enough:
             return best
     raise SimulationError(
-        f"No place was found where '{problem.robot.name}' can touch {what}",
-        "Define `cell = Cell(faces=...)` in the problem file",
+        f"No place was found where '{problem.robot.name}' can touch {what} above a table at z = {table:g} mm",
+        "Say where the table is (--table Z), or define `cell = Cell(faces=...)` in the problem file",
     )
 
 
-def _single(problem: Problem, corners: list[Cell], size: float) -> list[Cell]:
+def _moved(cell: Cell, height: float, up: Sequence[float] | Array = (0.0, 0.0, 1.0)) -> Cell:
+    """The same moved along a direction (3) until its lowest corner is at a height, mm."""
+    lift = (height - min(face.lowest for face in cell.faces)) / up[2] * np.asarray(up)
+    return replace(cell, faces=tuple(replace(face, centre=triple(face.centre + lift)) for face in cell.faces))
+
+
+def _lifted(cell: Cell, table: float, up: Sequence[float] | Array = (0.0, 0.0, 1.0)) -> Cell:
+    """The same above a table, moved along a direction (3) as far as that takes."""
+    cell = replace(cell, table=table)
+    return _moved(cell, table, up) if min(face.lowest for face in cell.faces) < table else cell
+
+
+def _single(problem: Problem, corners: list[Cell], size: float, table: float) -> list[Cell]:
     """Cells of one face: where the problem declares its plane, seen from either side, or the floors of corners."""
     plane = problem.instrument.unknowns[problem.instrument.datum[0]]
     if not isinstance(plane, Plane) or plane.normal is None or plane.point is None:
         return [replace(cell, faces=cell.faces[:1]) for cell in corners]
-    unit, (x, y, z) = unit_vector(plane.normal, "The normal"), plane.point
-    return [Cell(faces=(Face("plane", (x, y, z), (side * unit[0], side * unit[1], side * unit[2]), (size, size)),))
-            for side in (1.0, -1.0)]  # fmt: skip
+    unit = unit_vector(plane.normal, "The normal")
+    sides = (Face("plane", triple(plane.point), triple(side * unit), (size, size)) for side in (1.0, -1.0))
+    cells, up = [Cell(faces=(side,)) for side in sides], np.array([0.0, 0.0, 1.0]) - unit[2] * unit
+    if up[2] > LEVEL:
+        return [_lifted(cell, table, up) for cell in cells]
+    return [replace(cell, table=min(table, cell.faces[0].lowest)) for cell in cells]  # the table is where the plane is
 
 
 def random_tips(problem: Problem) -> Array:

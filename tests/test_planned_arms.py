@@ -1,0 +1,143 @@
+"""Plans of five arms from their makers' tables, looked at by kinematics of our own: nothing goes below the table."""
+
+import json
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import ROOT
+from planned_arms import ARMS
+
+from casacal import CasacalError, Cell, Face, SimulationError, corner, load_problem, plan
+from casacal.cli.main import main
+from casacal.planning.clearance import Clearance
+from casacal.problem.cell import Disturbances
+from casacal.simulation.touches import default_cell
+
+BY_NAME = {arm.name: arm for arm in ARMS}
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """A problem folder for each arm, made by `casacal new` from its table."""
+    place, found = tmp_path_factory.mktemp("arms"), {}
+    for arm in ARMS:
+        table = place / "dh.csv"
+        table.write_text(arm.csv())
+        name = arm.name.replace(" ", "_")
+        tool = ",".join(map(str, arm.tool))
+        common = ["--tool", tool, "--sign", "-1", "--travel", "10", "--accuracy", "0.5", "--out", str(place)]
+        assert main(["new", name, "--dh", str(table), *common]) == 0
+        found[arm.name] = place / name
+    return found
+
+
+def heights(arm, joints):
+    """Lowest of all joints' origins and the tip (mm) in each posture, in degrees and mm."""
+    return np.array([arm.origins(row)[:, 2].min() for row in joints])
+
+
+def joints_of(path, arm):
+    rows = pd.read_csv(path, comment="#")
+    names = [f"q{k}_{'mm' if k in arm.slides else 'deg'}" for k in range(1, len(arm.rows) + 1)]
+    return rows, rows[names].to_numpy(float)
+
+
+@pytest.mark.parametrize("name", BY_NAME)
+def test_nothing_goes_below_the_base_plane_and_each_face_is_told(folders, tmp_path, capsys, name):
+    arm, out, sheet = BY_NAME[name], tmp_path / "plan.csv", tmp_path / "sheet.html"
+    capsys.readouterr()
+    asked = ["plan", str(folders[name]), "--out", str(out), "--touches", "40", "--pool", "300", "--sheet", str(sheet)]
+    assert main(asked) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("Collisions not checked: ")
+    assert main([*asked, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    rows, joints = joints_of(out, arm)
+    assert heights(arm, joints).min() > -1e-3
+    assert found["table_mm"] == 0
+    assert found["collisions_checked"] is False
+    assert {face["label"] for face in found["faces"]} == set(rows["plane"])
+    for face in found["faces"]:
+        centre, normal, size = (np.array(face[key]) for key in ("centre_mm", "normal", "size_mm"))
+        across = np.linalg.svd(normal[None])[2][1:]  # the face is square, so half its diagonal reaches lowest
+        assert centre[2] - np.hypot(*across[:, 2]) * size[0] / 2 > -1e-9
+        assert centre[0] > 0, "in front of the base"
+        here = (rows["plane"] == face["label"]).to_numpy()
+        readings, needed = rows["expected_reading_mm"].to_numpy()[here], []
+        for q, reading in zip(joints[here], readings, strict=True):
+            (*_, tip), pushed = arm.origins(q), arm.moved_tool(q, reading)
+            assert abs(normal @ (pushed - centre)) < 0.02, "on the face"
+            assert np.linalg.norm(pushed - centre) < np.linalg.norm(size) / 2 + 0.1
+            assert pushed[2] > -1e-3
+            slope = normal @ (pushed - tip) / reading
+            needed.append([reading + off / slope for off in face["off_mm"]])
+        low, high = face["off_mm"]
+        assert low < 0 < high
+        needed = np.array(needed)
+        assert needed.min() == pytest.approx(0, abs=2e-3), "one touch is at the end of the dial, none is beyond"
+        assert needed.max() == pytest.approx(10, abs=2e-3)
+        x, y, z = centre
+        words = f"centre ({x:.0f}, {y:.0f}, {z:.0f}) mm"
+        told = f"may stand off by {low:+.1f} to {high:+.1f} mm"
+        for text in (said, out.read_text(), sheet.read_text()):
+            assert words in " ".join(text.split())
+            assert told in " ".join(text.split())
+            assert "Collisions not checked" in text
+
+
+@pytest.mark.long
+def test_a_hundred_plans_stay_above_the_table(folders):
+    for name, arm in BY_NAME.items():
+        source = load_problem(folders[name])
+        for seed in range(20):
+            joints = plan(source.problem, touches=30, pool=300, starts=1, seed=seed).samples.joints
+            shown = np.where(source.problem.robot.revolute, np.degrees(joints), joints)
+            assert heights(arm, shown).min() > -1e-3, (name, seed)
+
+
+def test_a_table_may_be_lower_or_higher(folders, tmp_path, capsys):
+    arm, out = BY_NAME["UR10e"], tmp_path / "plan.csv"
+    asked = ["plan", str(folders["UR10e"]), "--out", str(out), "--touches", "30", "--pool", "200", "--json"]
+    for table in (-400.0, 150.0):
+        assert main([*asked, "--table", str(table)]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert found["table_mm"] == table
+        lowest = heights(arm, joints_of(out, arm)[1]).min()
+        assert table - 1e-3 < lowest < table + 250
+        floor = next(face for face in found["faces"] if face["label"] == "floor")
+        assert floor["centre_mm"][2] == pytest.approx(table + 20), "a plate lies on the table"
+    assert main([*asked, "--table", "nan"]) == 2
+    assert "Give its height in mm" in capsys.readouterr().err
+
+
+def test_a_face_below_the_table_is_refused(folders):
+    source = load_problem(folders["UR5"])
+    low = Cell(faces=corner((500.0, 0.0, 50.0), size=300.0))
+    with pytest.raises(SimulationError, match=r"Face 'floor' reaches down to z = -100 mm, and the table is at 0 mm"):
+        plan(source.problem, low, touches=20, pool=60)
+    made = plan(source.problem, Cell(faces=low.faces, table=-150.0), touches=20, pool=60, starts=1)
+    assert made.cell.table == -150
+    with pytest.raises(CasacalError, match="above the table at z = 700 mm"):
+        plan(source.problem, Cell(faces=(Face("p", (500.0, 0.0, 710.0), (0, 0, 1)),), table=700.0), touches=20, pool=60)
+
+
+def test_other_instruments_keep_above_the_table_too():
+    several = load_problem(ROOT / "problems" / "ur5_three_instruments").problem.measured_by("tracker")
+    for table in (0.0, -math.inf):
+        made = plan(several, Disturbances(table=table), touches=20, pool=60, starts=1)
+        lowest = min(BY_NAME["UR5"].origins(q)[:-1, 2].min() for q in np.degrees(made.samples.joints))
+        assert (lowest > -1e-3) == (table == 0)
+
+
+def test_links_that_were_looked_at_are_not_said_to_be_unchecked(folders, tmp_path, capsys):
+    arm, out = BY_NAME["IRB 120"], tmp_path / "plan.csv"
+    asked = ["plan", str(folders["IRB 120"]), "--out", str(out), "--touches", "30", "--pool", "100"]
+    assert main([*asked, "--link-radius", "40"]) == 0
+    assert "not checked" not in capsys.readouterr().out
+    moving = np.array([arm.origins(q)[1:-1, 2].min() for q in joints_of(out, arm)[1]])
+    assert moving.min() > 40 - 1e-3, "links stay their radius above the table"
+    source = load_problem(folders["IRB 120"])
+    made = plan(source.problem, clearance=Clearance(link_radius=40.0), touches=20, pool=60, starts=1)
+    assert made.cell.faces == default_cell(source.problem).faces
