@@ -55,6 +55,10 @@ class SimulationError(CasacalError):
     """A cell in which the robot cannot touch the faces as asked."""
 
 
+class RefusedResultWarning(UserWarning):
+    """Numbers of a result whose verdict is not to use it were asked for: they are no calibrated arm."""
+
+
 class StudyError(CasacalError):
     """A study, its records or its workers that are not as they must be."""
 

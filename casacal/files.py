@@ -1,4 +1,4 @@
-"""Files out: written whole or not at all, also several that belong together."""
+"""Files out: written whole or not at all, also several that belong together; never over what others wrote."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import json
 import math
 import os
 import platform
+import re
 import secrets
 import shutil
 import signal
@@ -22,22 +23,57 @@ from typing import Any
 import numpy as np
 
 from casacal.errors import CasacalError
+from casacal.values import EMPTY
+from casacal.version import __version__
+
+MADE = "written by casacal"
+"""What every file that casacal writes says of itself, in its first or last `LOOKED_AT` bytes."""
+
+MARKS = re.compile(
+    rb'written by casacal|[#!;] (planned|simulated) by casacal|Software\x00casacal|"written_by": "casacal'
+)
+BY, LOOKED_AT = "written_by", 8192
 
 
-def write_text(path: str | Path, text: str) -> None:
-    """Write a UTF-8 text file completely, then put it in place; raises CasacalError when it cannot."""
+def refuse_others(path: str | Path, *, option: str = "--out") -> None:
+    """Raise CasacalError where a path is a file that casacal did not write, or that holds measured rows."""
+    target = Path(path)
+    if not target.is_file():
+        return
+    try:
+        with target.open("rb") as file:
+            head = file.read(LOOKED_AT)
+            file.seek(max(target.stat().st_size - LOOKED_AT, 0))
+            ends = head + b"\n" + file.read()
+    except OSError as error:
+        raise CasacalError(
+            f"'{target}' exists and cannot be read ({error.strerror})", f"Name another {option}"
+        ) from error
+    what = "holds measured rows" if b"# measured by casacal" in head else "was not written by casacal"
+    if head and (not MARKS.search(ends) or what == "holds measured rows"):
+        raise CasacalError(f"'{target}' exists and {what}", f"Name another {option}, or remove it first")
+
+
+def write_text(path: str | Path, text: str, *, own: bool = False) -> None:
+    """Write a UTF-8 text file completely, then put it in place; raises CasacalError when it cannot.
+
+    own: whether the caller knows a file that stands there for its own; else it must bear a mark of casacal.
+    """
     # names of files may hold bytes that are no text: escaped, as JSON has them
-    place_whole(path, lambda place: place.write_bytes(text.encode("utf-8", errors="backslashreplace")))
+    place_whole(path, lambda place: place.write_bytes(text.encode("utf-8", errors="backslashreplace")), own=own)
 
 
-def place_whole(path: str | Path, write: Callable[[Path], object]) -> None:
+def place_whole(path: str | Path, write: Callable[[Path], object], *, own: bool = False) -> None:
     """Let `write` fill a temporary file beside `path`, then rename it; raises CasacalError when it cannot.
 
     Where `path` is a link, what it leads to is written; what exists and is no file, such as a device, is written into.
+    own: as for `write_text`.
     """
     target = Path(path)
     if target.is_dir():
         raise CasacalError(f"'{target}' is a folder", "Name a file")
+    if not own:
+        refuse_others(target)
     if target.exists() and not target.is_file():  # /dev/stdout may lead to a pipe, which has no path of its own
         with writable(target), tempfile.TemporaryDirectory() as place, target.open("wb") as out:
             write(Path(place) / "whole")
@@ -107,8 +143,8 @@ def _runs(process: int) -> bool:
 
 
 def write_json(path: str | Path, document: Mapping[str, Any]) -> None:
-    """Write a document as JSON; numbers that are not finite become null, as JSON has none."""
-    write_text(path, json_text(document))
+    """Write a document as JSON, marked; numbers that are not finite become null, as JSON has none."""
+    write_text(path, json_text({BY: f"casacal {__version__}", **document}))
 
 
 def json_text(document: Mapping[str, Any], *, ascii_only: bool = False) -> str:
@@ -135,30 +171,45 @@ PREFIX = ".casacal-"
 
 
 @contextmanager
-def together(folder: Path, names: Sequence[str], *, asked: Path | None = None) -> Iterator[Path]:
+def together(
+    folder: Path,
+    names: Sequence[str],
+    *,
+    asked: Path | None = None,
+    elsewhere: Mapping[str, Path] = EMPTY,
+    own: bool = False,
+) -> Iterator[Path]:
     """A place for files that all take their places in a folder at the end, or none of them.
 
-    Files of the same names from an earlier run go first, so that the folder never holds files of two runs; the last
-    name comes last, so that where it stands all stand. Signals wait meanwhile.
+    Files of the same names from an earlier run that are not made again go, so that the folder never holds files of two
+    runs; the last name comes last, so that where it stands all stand. Signals wait meanwhile. What a kill interrupts
+    there, `recover` brings to its end.
 
     Args:
         folder: made where it does not exist; removed again if it was made and nothing came of it.
         names: files that may be made, in the order in which they are placed.
         asked: what a refusal names; by default the folder.
+        elsewhere: where some of them go that do not go into the folder.
+        own: as for `write_text`.
 
-    Raises CasacalError when the folder cannot be written, or another run is writing into it.
+    Raises CasacalError when the folder cannot be written, or another run is writing into it, or a file there was not
+    written by casacal.
 
     """
     made = not folder.exists()
+    targets = {name: elsewhere.get(name, folder / name) for name in names}
     try:
         with writable(asked or folder):
             folder.mkdir(parents=True, exist_ok=True)
             with _locked(folder):
                 sweep(folder, PREFIX)
+                _finish(folder)
+                for target in () if own else targets.values():
+                    refuse_others(target)
                 place = Path(tempfile.mkdtemp(dir=folder, prefix=f"{PREFIX}{mark_of_this_run()}-"))
                 try:
                     yield place
-                    _place([(place / name, folder / name) for name in names])
+                    _place(folder, place, targets, own)
                 finally:
                     shutil.rmtree(place, ignore_errors=True)
     finally:
@@ -175,18 +226,49 @@ def side_by_side(targets: Sequence[Path]) -> Iterator[list[Path]]:
         yield [place / target.name for target in targets]
 
 
-def _place(moves: Sequence[tuple[Path, Path]]) -> None:
-    """Put files where they belong, after those of before are gone; a link's target is written, not the link."""
-    ends = [(source, Path(os.path.realpath(target))) for source, target in moves]
-    for _, target in ends:
+READY, LIST = ".casacal.ready-", ".list"
+"""What the name of a folder begins with whose files are whole and take their places, and its list of them."""
+
+
+def _place(folder: Path, place: Path, targets: Mapping[str, Path], own: bool) -> None:
+    """Put files where they belong; a link's target is written, not the link."""
+    ends = {name: Path(os.path.realpath(target)) for name, target in targets.items()}
+    for target in ends.values():
         if target.exists() and not target.is_file():
             raise CasacalError(f"'{target}' is no file", "Name another folder for the answer, or remove it")
+        target.parent.mkdir(parents=True, exist_ok=True)
+    rows = [(name, str(target), (place / name).exists()) for name, target in ends.items()]
+    (place / LIST).write_text(json.dumps({"files": rows, "own": own}), encoding="utf-8")
     with _undisturbed():
-        for _, target in reversed(ends):
-            target.unlink(missing_ok=True)
-        for source, target in ends:
-            if source.exists():
+        os.rename(place, folder / f"{READY}{secrets.token_hex(4)}")  # from here on the new files are those that count
+        _finish(folder)
+
+
+def _finish(folder: Path) -> None:
+    """Put files that are ready in their places, where a run was ended on the way."""
+    for ready in folder.glob(f"{READY}*"):
+        if not (ready / LIST).exists():  # all are placed, and it was being removed
+            shutil.rmtree(ready, ignore_errors=True)
+            continue
+        listed = json.loads((ready / LIST).read_text(encoding="utf-8"))
+        rows = [(ready / name, Path(target), made) for name, target, made in listed["files"]]
+        last, answer, _ = rows[-1]
+        if last.exists() and len(rows) > 1 and not listed["own"]:
+            answer.unlink(missing_ok=True)
+        for source, target, made in rows:
+            if not made:
+                target.unlink(missing_ok=True)
+            elif source.exists():
                 shutil.move(source, target)  # which copies where a link leads to another disk
+        shutil.rmtree(ready, ignore_errors=True)
+
+
+def recover(folder: Path) -> None:
+    """Put a set of files in their places whose run was killed on the way, if there is one in a folder."""
+    with suppress(OSError, ValueError, KeyError, CasacalError):  # not ours to write, or another run is at it
+        if any(folder.glob(f"{READY}*")):
+            with _locked(folder), _undisturbed():
+                _finish(folder)
 
 
 @contextmanager

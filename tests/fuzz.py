@@ -23,7 +23,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from unittest import mock
 
 import fuzz_arms
 import fuzz_seeds
@@ -33,7 +32,6 @@ from seals import resealed_text
 from casacal.errors import CasacalError
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
-from casacal.tables.text import read_table
 
 SECONDS = 10.0
 MEMORY = 2 << 30
@@ -146,27 +144,6 @@ def read_samples(path: Path) -> Samples:
     return Samples.from_file(path, LAYOUT)
 
 
-def read_both_ways(path: Path) -> None:
-    """Raise AssertionError unless a file read in sections is the file read cell by cell, to the last bit and word."""
-    with mock.patch("casacal.tables.read.LARGE_FILE", 0), mock.patch("casacal.tables.large.SECTION", 400):
-        fast = outcome(lambda: Samples.from_file(path, LAYOUT))
-    slow = outcome(lambda: Samples.from_table(read_table(path), LAYOUT))
-    assert str(fast) == str(slow), f"{fast!s:.300} is not {slow!s:.300}"
-    if isinstance(slow, CasacalError):
-        raise slow
-
-
-def outcome(read: Callable[[], Samples]) -> object:
-    """What comes of reading: all that was read, or the refusal."""
-    try:
-        samples = read()
-    except CasacalError as error:
-        return error
-    numbers = {name: values.tobytes() for name, values in {"q": samples.joints, **samples.columns}.items()}
-    labels = {name: tuple(values) for name, values in samples.labels.items()}
-    return numbers, labels, tuple(samples.lines), samples.file, samples.sha256
-
-
 def one_line(error: CasacalError) -> None:
     """Raise AssertionError unless a refusal is one line that can be shown."""
     assert len(str(error).splitlines()) == 1, f"a refusal of several lines: {error!r:.300}"
@@ -175,7 +152,6 @@ def one_line(error: CasacalError) -> None:
 
 KINDS: Mapping[str, Kind] = {
     "csv": Kind(fuzz_seeds.csv_files, read_samples, fuzz_seeds.CSV_TOKENS, mutated_lines, 150),
-    "large-csv": Kind(fuzz_seeds.csv_files, read_both_ways, fuzz_seeds.CSV_TOKENS, mutated_lines, 250),
     "npy": Kind(fuzz_seeds.npy_files, read_samples, fuzz_seeds.NPY_TOKENS, quick=150),
     "npz": Kind(fuzz_seeds.npz_files, read_samples, fuzz_seeds.NPY_TOKENS, mutated_members, 100),
     "urdf": Kind(fuzz_arms.urdf_files, fuzz_arms.read_arm, fuzz_arms.URDF_TOKENS, quick=250),

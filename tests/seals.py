@@ -6,7 +6,7 @@ import json
 
 def resealed(document):
     """A copy that claims to be as it was written: what somebody who knows how may write."""
-    keys = sorted(document.keys() - {"seal", "seconds"})
+    keys = sorted(document.keys() - {"seal", "seconds", "written_by"})
     text = json.dumps([keys, {key: document[key] for key in keys}], sort_keys=True, separators=(",", ":"))
     return {**document, "seal": {"of": keys, "sha256": hashlib.sha256(text.encode()).hexdigest()}}
 

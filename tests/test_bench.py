@@ -248,7 +248,8 @@ def test_the_committed_report_is_what_its_records_make(tmp_path):
     names = {key: dict.fromkeys(record[key] for record in records) for key in ("setting", "method")}
     study = SimpleNamespace(settings=names["setting"], methods=names["method"])
     lines = bench_lines(Run(study, tuple(records), tmp_path), read_sets(folder))
-    assert "\n".join(lines) + "\n" == (folder / "report.md").read_text(encoding="utf-8")
+    mark = "\n<!-- written by casacal bench -->\n"
+    assert "\n".join(lines) + "\n" + mark == (folder / "report.md").read_text(encoding="utf-8")
     for page, count in (("README.md", 27), ("docs/studies.md", 41)):
         table = (ROOT / page).read_text(encoding="utf-8").split("| set | as drawn |")[1].split("\n\n")[0]
         figures = re.findall(r"\d+\.\d{3}", table)

@@ -76,6 +76,7 @@ def test_calibrate_writes_all_it_promises(calibrated):
     assert set(document["versions"]) == {"casacal", "casadi", "numpy", "python"}
     assert set(document["evaluations"]) == {"residual_rows", "jacobian_rows"}
     with (calibrated / "parameters.csv").open(encoding="utf-8") as stream:
+        assert stream.readline().startswith("# written by casacal")
         table = list(csv.DictReader(stream))
     assert [row["name"] for row in table] == names
     assert {row["known_from"] for row in table} <= KNOWN_FROM
@@ -174,6 +175,7 @@ def test_simulate_then_calibrate_then_predict(run, tmp_path):
         poses = tmp_path / f"{name}.csv"
         assert run("predict", source, samples, "--out", poses, "--frame", "tip", *options)[0] == 0
         with poses.open() as stream:
+            assert "written by casacal" in stream.readline()
             assert stream.readline().strip() == "x_mm,y_mm,z_mm,qw,qx,qy,qz"
             positions[name] = np.loadtxt(stream, delimiter=",")
     np.testing.assert_allclose(np.linalg.norm(positions["true"][:, 3:], axis=1), 1, atol=1e-9)
@@ -215,7 +217,7 @@ def test_predict_flange_is_the_pose(run, calibrated, tmp_path):
     joints = tmp_path / "q.csv"
     joints.write_text("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n10,20,30,40,50,60\n")
     assert run("predict", calibrated / "result.json", joints, "--out", tmp_path / "p.csv", "--nominal")[0] == 0
-    pose = np.loadtxt(tmp_path / "p.csv", delimiter=",", skiprows=1)
+    pose = np.loadtxt(tmp_path / "p.csv", delimiter=",", skiprows=2)
     expected = dh_chain(
         np.radians([-90, 0, 90, -90, 90, 0]),
         [249.85003, 900.32123, -206.14449, 0, 0, 0],
@@ -416,7 +418,7 @@ def test_a_file_that_cannot_be_completed_leaves_the_old_one(tmp_path, monkeypatc
     from casacal import files
 
     target = tmp_path / "result.json"
-    target.write_text("old")
+    target.write_text("old, written by casacal")
 
     def fail(*_):
         raise OSError(28, "No space left on device")
@@ -424,7 +426,7 @@ def test_a_file_that_cannot_be_completed_leaves_the_old_one(tmp_path, monkeypatc
     monkeypatch.setattr(os, "replace", fail)
     with pytest.raises(casacal.CasacalError, match="No space"):
         files.write_text(target, "new")
-    assert target.read_text() == "old"
+    assert target.read_text() == "old, written by casacal"
     assert list(tmp_path.iterdir()) == [target]
 
 

@@ -21,15 +21,6 @@ NUMBER_FIRST = "q1_deg,q2_mm,reading_mm,plane"
 WAYS_OUT = r'Rename its label, or in a CSV file quote it, as in "#1"; delete a comment, or put it above the header'
 
 
-@pytest.fixture(params=["small", "large"], autouse=True)
-def reader(request, monkeypatch):
-    """Each file is read as a small and as a large one, in many sections."""
-    if request.param == "large":
-        monkeypatch.setattr("casacal.tables.read.LARGE_FILE", 0)
-        monkeypatch.setattr("casacal.tables.large.SECTION", 300)
-    return request.param
-
-
 def rows(first):
     """Rows whose labels stand first, or last, or that are counted before their labels."""
     numbers = [f"{k},{k}.5,0.{k}" for k in range(10, 60)]
@@ -89,14 +80,11 @@ def test_a_row_of_numbers_that_was_taken_out_is_a_comment(tmp_path):
     assert len(read(tmp_path, NUMBER_FIRST, lines)) == 49
 
 
-def test_a_counted_row_that_was_taken_out_is_a_comment(tmp_path, reader, monkeypatch):
-    """What counts rows is no quantity, but a number; a large file is not read cell by cell for it."""
+def test_a_counted_row_that_was_taken_out_is_a_comment(tmp_path):
+    """What counts rows is no quantity, but a number."""
     lines = [f"{k},{row}" for k, row in enumerate(rows("number"))]
     lines[20] = "#" + lines[20]
-    with monkeypatch.context() as patched:
-        if reader == "large":
-            patched.delattr("casacal.tables.read.read_table")
-        assert len(read(tmp_path, f"n,{NUMBER_FIRST}", lines)) == 49
+    assert len(read(tmp_path, f"n,{NUMBER_FIRST}", lines)) == 49
     lines[45] = "x" + lines[45]
     with pytest.raises(SamplesError, match="line 22: the line begins with #"):
         read(tmp_path, f"n,{NUMBER_FIRST}", lines)
@@ -129,7 +117,6 @@ def test_other_columns_of_text_are_no_numbers_to_look_for(tmp_path):
 
 
 def test_a_number_that_no_problem_asks_for_tells_prose(tmp_path):
-    """A large file's reader knows quantities alone, and leaves it to the other what each column holds."""
     lines = [f"{row},21.5" for row in rows("label")]
     found = read(tmp_path, f"{LABEL_FIRST},temperature", [*lines, "#left,7,7.5,0.7,cold"])
     assert len(found) == 50
@@ -141,7 +128,7 @@ READERS = {
     "targets": (lambda path: read_targets(path, load_problem(HSR)), JOINTS, "1,2,3,4,5,6"),
     "poses": (lambda path: read_targets(path, load_problem(HSR)), "x_mm,y_mm,z_mm,qw,qx,qy,qz", "1,2,3,1,0,0,0"),
     "pendant": (lambda path: read_pendant_rows(path, [True]), "q1_deg,x_mm,y_mm,z_mm,qw,qx,qy,qz", "1,2,3,4,1,0,0,0"),
-    "columns": (lambda path: read_columns(path, lambda header: ["a"]), "a,b", "1,2"),
+    "columns": (lambda path: read_columns(path), "a,b", "1,2"),
     "readings": (lambda path: joined_tables(read_table(path), read_table(path), key="name"), "a,b", "1,2"),
 }  # fmt: skip
 

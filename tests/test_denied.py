@@ -13,7 +13,7 @@ import pytest
 from seals import resealed
 
 import casacal
-from casacal import BoundProblem, CasacalError, calibrate
+from casacal import BoundProblem, CasacalError, RefusedResultWarning, calibrate
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.result_json import calibration_document
 from casacal.calibration.verdict import verdict_of
@@ -187,8 +187,20 @@ def test_nor_does_the_object(denied):
     _, found = denied
     assert found.parameters["std"][found.parameters["known_from"] != "held"].isna().all()
     assert "tip error" not in repr(found)
-    with pytest.raises(CasacalError, match="no standard deviations"):
+    with pytest.warns(RefusedResultWarning), pytest.raises(CasacalError, match="no standard deviations"):
         found.predict(np.zeros(4), std=True)
+    asked = {
+        "predict": lambda **drawn: found.predict(np.zeros(4), **drawn),
+        "values": found.values,
+        "pose": found.pose_function,
+        "tip": found.tip_function,
+    }
+    for ask in asked.values():
+        with pytest.warns(RefusedResultWarning, match="Do not use this result") as told:
+            ask()
+        assert told[0].filename == __file__
+        ask(nominal=True)  # what is drawn needs no verdict
+    found.pose_function(free=True)
     with pytest.raises(CasacalError, match=r"Do not use.*force"):
         found.compensate(np.zeros((1, 4)))
     assert np.isnan(found.compensate(np.full((1, 4), 0.3), force=True).expected_mm).all()
@@ -255,8 +267,13 @@ def test_compensated_targets_say_so_when_forced(denied, tmp_path, capsys):
         assert not ACCURACY.search(written)
     assert (tmp_path / "csv").read_text().splitlines()[-1].endswith(",")  # nothing is expected
     capsys.readouterr()
-    assert main(["predict", result, str(targets), "--out", str(tmp_path / "p.csv")]) == 0
-    assert "Do not use" in capsys.readouterr().out
+    predict = ["predict", result, str(targets), "--out", str(tmp_path / "p.csv")]
+    for forced, code in (([], 1), (["--force"], 0)):
+        assert main([*predict, *forced]) == code
+        assert "Do not use" in capsys.readouterr().out
+        assert "# WARNING, against the verdict: Do not use" in (tmp_path / "p.csv").read_text()
+    assert main([*predict, "--nominal"]) == 0
+    assert "WARNING" not in (tmp_path / "p.csv").read_text(), "the drawn arm is no result"
     assert main(["verify", result, str(folder / "samples.csv")]) == 2
 
 

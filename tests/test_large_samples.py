@@ -1,15 +1,13 @@
 """Samples by the million: large text files and arrays give what small ones do, or are refused as they are."""
 
-import contextlib
 import math
 
 import numpy as np
 import pandas as pd
 import pytest
-from fuzz import read_both_ways
 
 from casacal import bind
-from casacal.errors import CasacalError, SamplesError
+from casacal.errors import SamplesError
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
 from casacal.tables.columns import Labels, combinations
@@ -18,12 +16,6 @@ from casacal.tables.text import read_table
 
 LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",))
 ROWS = 3000
-
-
-@pytest.fixture(autouse=True)
-def every_file_is_large(monkeypatch):
-    monkeypatch.setattr("casacal.tables.read.LARGE_FILE", 0)
-    monkeypatch.setattr("casacal.tables.large.SECTION", 20_000)
 
 
 def columns_of_rows():
@@ -42,67 +34,6 @@ def text(delimiter=",", decimal="."):
     for row in zip(*made.values(), strict=True):
         lines.append(delimiter.join(str(cell).replace(".", decimal) for cell in row))
     return "\n".join(lines) + "\n"
-
-
-def forbidden(*given):
-    raise AssertionError(f"{given} was read cell by cell")
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        text(),
-        "# a comment\n\n" + text(),
-        text().rstrip("\n"),
-        text().replace("\n", "\r\n"),
-        "\ufeff" + text(),
-        text(";"),
-        text(";", ","),
-        text("\t"),
-        text().replace(",left", ", left "),
-        text().replace("left", '"left"'),
-        text(";", ",").replace("left", '"le,ft"').replace("N/A", "2.5.2026 äöü"),
-        text().replace("left", "01").replace("N/A", "1"),
-        text().replace("left", "True"),
-        text().replace("left", '"#1"').replace("upper wall", "see #2"),
-        text(";", ",").replace("left", "a, b").replace("upper wall", "1,5"),
-        "\n".join(",".join(line.split(",")[k] for k in (3, 0, 1, 2)) for line in text().splitlines()),
-        "\n".join(f"{line},{'date' if i == 0 else '02/03'}" for i, line in enumerate(text().splitlines())),
-        "\n".join(f"{'time' if i == 0 else f'12:{i}'},{line}" for i, line in enumerate(text().splitlines())),
-    ],
-    ids=[
-        "plain",
-        "comment",
-        "no last line end",
-        "windows",
-        "mark",
-        "semicolons",
-        "decimal commas",
-        "tabs",
-        "blanks",
-        "quotes",
-        "marks in remarks",
-        "zeros before labels",
-        "words",
-        "hashes",
-        "marks in labels",
-        "labels first",
-        "dates",
-        "times",
-    ],
-)
-def test_a_large_file_is_read_at_once_and_the_same(tmp_path, content, monkeypatch):
-    file = tmp_path / "s.csv"
-    file.write_bytes(content.encode())
-    expected = Samples.from_table(read_table(file), LAYOUT)
-    monkeypatch.setattr("casacal.tables.read.read_table", forbidden)
-    monkeypatch.setattr("casacal.tables.large._read_cells", forbidden)
-    found = Samples.from_csv(file, LAYOUT)
-    np.testing.assert_array_equal(found.joints, expected.joints)
-    np.testing.assert_array_equal(found.columns["reading"], expected.columns["reading"])
-    assert found.labels["plane"] == expected.labels["plane"]
-    assert tuple(found.lines) == tuple(expected.lines)
-    assert found.sha256 == expected.sha256
 
 
 @pytest.mark.parametrize(
@@ -149,24 +80,7 @@ def test_numbers_alone_are_refused_with_a_cell_moved_to_the_next_line(tmp_path):
         Samples.from_csv(file, LAYOUT)
 
 
-def test_a_comment_is_left_out_and_its_section_read_at_once(tmp_path, monkeypatch):
-    lines = text().splitlines()
-    order = [3, 0, 1, 2]  # a label comes first, so that nothing but # tells a comment from a row
-    lines = [",".join(line.split(",")[k] for k in order) for line in lines]
-    lines.insert(1500, "# left: 1,2,3")
-    file = tmp_path / "s.csv"
-    file.write_text("\n".join(lines) + "\n")
-    expected = Samples.from_table(read_table(file), LAYOUT)
-    monkeypatch.setattr("casacal.tables.large._read_cells", forbidden)
-    monkeypatch.setattr("casacal.tables.read.read_table", forbidden)
-    found = Samples.from_csv(file, LAYOUT)
-    np.testing.assert_array_equal(found.joints, expected.joints)
-    assert found.labels["plane"] == expected.labels["plane"]
-    assert tuple(found.lines) == tuple(expected.lines)
-
-
 def test_a_byte_order_mark_within_a_file_is_part_of_its_label(tmp_path):
-    """pandas takes it off where it begins what pandas reads, which is a section."""
     order = [3, 0, 1, 2]
     lines = [",".join(line.split(",")[k] for k in order) for line in text().replace("left", "\ufeffleft").splitlines()]
     file = tmp_path / "s.csv"
@@ -203,7 +117,7 @@ def test_a_number_that_is_too_large_is_not_finite(tmp_path):
 def test_columns_that_nobody_named_are_read_when_asked_for(tmp_path):
     file = tmp_path / "s.csv"
     file.write_text(text())
-    columns = read_columns(file, lambda header: ["q1_deg"])
+    columns = read_columns(file)
     np.testing.assert_array_equal(columns.number("reading_um"), columns_of_rows()["reading_um"])
     assert columns.text("plane") == tuple(columns_of_rows()["plane"])
     assert columns.cell("q2_mm", 1700) == text().splitlines()[1701].split(",")[1]
@@ -312,29 +226,3 @@ def test_thousands_of_rows_propose_the_plane_that_few_do(hsr):
     r, triangle = few.jacobian(few.x0), many.compact_jacobian(many.x0)
     np.testing.assert_allclose(triangle.T @ triangle, 200 * r.T @ r, rtol=1e-8, atol=1e-3)
     assert math.isfinite(many.cost(many.x0))
-
-
-SNIPPETS = [
-    "1,2,3,a\n2,3,4,b b\n", '1,2,3,"a"\n1,2,3,""\n', '1,2,3,"#1"\n1,2,3,see #2\n', "1,2,3,#a\n",
-    "1,2,3,wänd\r\n1,2,3,x\r\n", "1, +2E+05 ,3,a\n", "1,2,3,True\nTrue,2,3,a\n", "nan,2,3,a\n", "\u0661,2,3,a\n",
-    "1\0,2,3,a\n", '"1",2,3,a\n', "\ufeff1,2,3,a\n", "1,2,3,a\0b\n", "1,2,3,a\x01\n", "1,2,3,\n", "1,2,3,a,\n",
-    "1,2,3\n", "1,2,3,a\n1,2,3\n4,5,6,b,7\n", "#1,2,3,a\n", " #1,2,3,a\n", '1,2,3,a"b\n', '1,2,3,"a""b"\n',
-    '1,2,3, "a"\n', '1,2,3,"a\nb"\n', '1,"2,3",4\n', "1,2,3,a\r1,2,3,b\n", "1,2,3,a\n\n1,2,3,b\n",
-    "1,2,3,5\" wall 6\"\n", "1,2,3," + "x" * 131_073 + "\n", "0" * 131_073 + "1,2,3,a\n", "1,2,3,a\f\n",
-    "1;2;3;a\n1,5;2;3;b\n", "1;2;3;a\n1,5;2.5;3;b\n", "1;2;3;2.5.2026\n1;2;3;2,5\n", "1\t2\t3\tone, two\n",
-    "\u00a0\t2\t3\t# x\n", "1e999,2,3,a\n", ".5,5.,3,a\n", "+1e 5,2,3,a\n", "1_0,2,3,a\n", "1\u00a0,2,3,a\n",
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("rows", SNIPPETS, ids=range(len(SNIPPETS)))
-@pytest.mark.parametrize("first", [False, True], ids=["label last", "label first"])
-def test_lines_of_any_kind_are_read_as_cell_by_cell(tmp_path, rows, first):
-    """Between plain rows, in sections of their own: the same values, or the same refusal."""
-    delimiter = next((sign for sign in "\t;" if sign in rows), ",")
-    lines = [delimiter.join(("q1_deg", "q2_mm", "reading_mm", "plane")), *[delimiter.join("123a")] * 40]
-    if first:
-        lines = [delimiter.join(("plane", "q1_deg", "q2_mm", "reading_mm")), *[delimiter.join("a123")] * 40]
-    file = tmp_path / "s.csv"
-    file.write_bytes(("\n".join(lines) + "\n" + rows + "\n".join(lines[1:]) + "\n").encode())
-    with contextlib.suppress(CasacalError):
-        read_both_ways(file)

@@ -148,7 +148,7 @@ def test_postures_are_clear_or_not_as_their_hulls_say(urdf):
     box = np.array([[x, y, z] for x in ranges[0] for y in ranges[1] for z in ranges[2]])
     plate = np.array([[x, y, z] for x in (-1500.0, 1500.0) for y in (-1500.0, 1500.0) for z in (-190.0, -150.0)])
     far = np.full((60, 3), 1e5)  # no tip near any link: the last one counts too
-    found = Clearance((ranges,), shapes=shapes).clear(robot, Cell(faces=(face,)), joints, far)
+    found = Clearance((ranges,), shapes=shapes).clear(robot, Cell(faces=(face,), table=-math.inf), joints, far)
     hulls = [k for k, shape in enumerate(shapes.shapes) if shape.kind != "sphere"]
     carriers = [shape.carrier for shape in shapes.shapes]
     for k in range(60):
@@ -160,6 +160,25 @@ def test_postures_are_clear_or_not_as_their_hulls_say(urdf):
         near = min(float(shapes_gap(shapes, placed, k, box, plate)), 1e9)
         assert found[k] == (near > FREE)
     assert 5 < found.sum() < 55
+
+
+def test_shapes_stay_above_the_table(urdf):
+    """Corners of boxes and cylinders, and spheres, are held up; the base and what turns upon it are not asked."""
+    robot = Robot.from_urdf(urdf, tip="tool0")
+    shapes, joints = LinkShapes.of(robot), np.random.default_rng(6).uniform(-2.5, 2.5, (80, 6))
+    placed = shapes.at(joints)
+    moving = [body for shape, body in zip(shapes.shapes, placed, strict=True) if shape.carrier > 0]
+    counts = []
+    for table in (-400.0, 0.0, 100.0):
+        expected = [all(body.corners[k, :, 2].min() - body.radius >= table for body in moving) for k in range(80)]
+        assert shapes.above(table, joints).tolist() == expected
+        counts.append(sum(expected))
+    made = plan(
+        Problem(robot, load_problem(ROOT / "problems" / "ur5").problem.instrument),
+        cell_of_ur5(), touches=30, pool=150, starts=1, clearance=Clearance(shapes=shapes),
+    )  # fmt: skip
+    assert counts[0] > counts[1] > counts[2]
+    assert shapes.above(0.0, made.samples.joints).all()
 
 
 def shapes_gap(shapes, placed, k, box, plate):

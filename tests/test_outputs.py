@@ -88,18 +88,19 @@ def test_a_run_that_is_stopped_leaves_files_of_one_run(kind, tmp_path):
         assert len(set(found.values())) <= 1, found
         if tables and "result.json" in found:
             rows = json.loads((out / "result.json").read_text())["parameters"]
-            line = next(iter(tables)).decode().splitlines()[1].split(",")
+            line = next(iter(tables)).decode().splitlines()[2].split(",")
             assert float(line[3]) == pytest.approx(rows[0]["estimate"], rel=1e-11)
     assert main(["calibrate", str(HSR), "--method", "lm", "--no-reference", "--out", str(tmp_path / "out")]) == 0
     assert {path.name for path in (tmp_path / "out").iterdir()} == set(FILES)  # leftovers are swept
 
 
 def test_all_files_take_their_places_or_none(tmp_path):
-    (tmp_path / "a").write_text("old")
+    old = "old, written by casacal"
+    (tmp_path / "a").write_text(old)
     (tmp_path / "mine").write_text("mine")
     with pytest.raises(CasacalError, match="No space left"):
         fill_the_disk(tmp_path)
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "old", "mine": "mine"}
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": old, "mine": "mine"}
     with together(tmp_path, ["c", "a", "b"]) as place:
         (place / "b").write_text("new")
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"b": "new", "mine": "mine"}
@@ -275,7 +276,7 @@ def test_leftovers_of_runs_that_ended_are_swept_and_others_are_not(tmp_path):
 def test_modes_are_the_users_and_links_are_followed(tmp_path):
     before = os.umask(0o027)
     try:
-        write_text(tmp_path / "new.csv", "1")
+        write_text(tmp_path / "new.csv", "1, written by casacal")
         write_set(tmp_path / "set")
     finally:
         os.umask(before)
@@ -287,7 +288,7 @@ def test_modes_are_the_users_and_links_are_followed(tmp_path):
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "set" / "a").unlink()
     (tmp_path / "set" / "a").symlink_to(tmp_path / "elsewhere" / "real")
-    (tmp_path / "elsewhere" / "real").write_text("old")
+    (tmp_path / "elsewhere" / "real").write_text("old, written by casacal")
     write_set(tmp_path / "set")
     assert (tmp_path / "set" / "a").is_symlink()
     assert (tmp_path / "elsewhere" / "real").read_text() == "a"
@@ -317,7 +318,7 @@ def result(made, tmp_path):
         ["predict", "o/result.json", "q.csv", "--out", "o/../o/result.json"],
         ["compensate", "o/result.json", "q.csv", "--out", "q.csv"],
         ["export", "o/result.json", "--to", "dh", "--out", "o/result.json"],
-        ["export", "o/result.json", "--to", "dh", "--source", "q.csv", "--out", "q.csv"],
+        ["export", "o/result.json", "--to", "urdf", "--source", "q.csv", "--out", "q.csv"],
         ["calibrate", "p", "o/parameters.csv", "--out", "o"],
         ["simulate", "p", "--out", "mine.csv"],
         ["simulate", "p", "--out", "p/problem.py"],
@@ -341,7 +342,10 @@ def test_nothing_is_written_over_what_is_read(typed, result, tmp_path, monkeypat
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     assert main(typed) == 2
     said = capsys.readouterr().err
-    assert any(why in said for why in ("is what the command reads", "not simulated", "measured rows", "a program"))
+    assert any(
+        why in said
+        for why in ("is what the command reads", "was not written by casacal", "measured rows", "does not end in .csv")
+    )
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
@@ -378,6 +382,6 @@ def test_a_pipe_gets_the_answer_and_stays_a_pipe(result, tmp_path):
     thread.start()
     assert main(["predict", str(result), str(tmp_path / "q.csv"), "--out", str(tmp_path / "pipe")]) == 0
     thread.join(timeout=10)
-    assert read[0].startswith("x_mm,y_mm,z_mm")
+    assert read[0].splitlines()[1].startswith("x_mm,y_mm,z_mm")
     assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
     assert main(["simulate", str(HSR), "--out", str(tmp_path / "pipe")]) == 2

@@ -329,7 +329,7 @@ def test_a_plan_is_simulated_as_it_would_be_measured(tmp_path, capsys):
     assert "was planned for 'hsr_jr680'" in capsys.readouterr().err
     (tmp_path / "other_check.csv").write_text("mine")
     assert main(["simulate", str(HSR), "--plan", files["plan"], "--out", files["other"]]) == 2
-    assert "exists and was not simulated" in capsys.readouterr().err
+    assert "exists and was not written by casacal" in capsys.readouterr().err
     assert not (tmp_path / "other.csv").exists()
 
 

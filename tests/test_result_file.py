@@ -141,7 +141,7 @@ def test_a_result_predicts_compensates_and_exports_from_anywhere(name, tmp_path,
 def test_a_urdf_is_exported_from_the_result_alone(made, tmp_path):
     shutil.copy(made / "urdf" / "out" / "result.json", tmp_path / "r.json")
     text = load(tmp_path / "r.json").export("urdf")
-    assert text == load(made / "urdf" / "out").export("urdf")
+    assert text.replace("r.json", "result.json", 1) == load(made / "urdf" / "out").export("urdf")
     (tmp_path / "new.urdf").write_text(text)
     moved = casacal.Robot.from_urdf(tmp_path / "new.urdf")
     assert moved.arm.chain != casacal.Robot.from_urdf(made / "urdf" / "arm.urdf").arm.chain

@@ -22,14 +22,6 @@ q1_deg,q2_mm,reading_mm,plane,note
 """
 
 
-@pytest.fixture(autouse=True, params=["small", "large"])
-def size(request, monkeypatch):
-    """Every test twice: as files of this size are read, and as those are that take pandas."""
-    if request.param == "large":
-        monkeypatch.setattr("casacal.tables.read.LARGE_FILE", 0)
-    return request.param
-
-
 def read(tmp_path, content, layout=LAYOUT):
     file = tmp_path / "s.csv"
     file.write_bytes(content if isinstance(content, bytes) else content.encode())
@@ -42,11 +34,11 @@ def check_good(samples):
     assert samples.labels["plane"] == ("left", "right")
 
 
-def test_a_good_file(tmp_path, size):
+def test_a_good_file(tmp_path):
     samples = read(tmp_path, GOOD)
     check_good(samples)
     assert samples.lines == (4, 5)
-    assert samples.extra == ({"note": ("hello", "")} if size == "small" else {})
+    assert samples.extra == {"note": ("hello", "")}
     assert len(samples.sha256) == 64
     with pytest.raises(ValueError, match="read-only"):
         samples.joints[0, 0] = 1

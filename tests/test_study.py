@@ -416,3 +416,40 @@ def test_a_report_that_is_none_is_refused(tmp_path, capsys, returned, came):
     file.write_text(f"def report(run):\n    return {returned}\n")
     assert main(["study", str(file), "--out", str(tmp_path / "out")]) == 2
     assert f"Got {came} from report(run)" in capsys.readouterr().err
+
+
+LOST = """
+import subprocess, sys
+sys.path[:0] = [sys.argv[1], sys.argv[1] + "/tests"]
+from pathlib import Path
+from casacal import StudyError
+from casacal.study.runs import run
+import tiny_study
+scheduler = subprocess.Popen([sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port",
+                              "0", "--no-dashboard", "--scheduler-file", sys.argv[2] + "/s.json"],
+                             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+import json, os, time
+while not os.path.exists(sys.argv[2] + "/s.json"):
+    time.sleep(0.05)
+address = json.load(open(sys.argv[2] + "/s.json"))["address"]
+import threading
+threading.Timer(3.0, scheduler.kill).start()  # no worker came: its tasks wait
+try:
+    run(tiny_study.study, Path(sys.argv[2]), file=sys.argv[1] + "/tests/tiny_study.py", scheduler=address)
+except StudyError as error:
+    print("said:", error)
+"""
+
+
+@pytest.mark.long
+def test_a_scheduler_that_is_lost_ends_in_a_sentence_and_the_run_goes_on(serial, tmp_path):
+    """The process ends, no traceback of another package stands in its output, and --resume makes the same records."""
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    ended = subprocess.run(
+        [sys.executable, "-c", LOST, str(ROOT), str(tmp_path)], capture_output=True, text=True, timeout=100, check=False
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert "was lost. Start it and its workers again, and run again with --resume" in ended.stdout
+    assert "Traceback" not in ended.stderr
+    found = run(tiny_study.study, tmp_path, file=TINY, resume=True)
+    assert found.digest == serial.digest

@@ -158,7 +158,7 @@ def test_a_saved_result_and_the_command_line_correct_them(loaded, asked, tmp_pat
     table(joints).to_csv(tmp_path / "bare.csv", index=False)
     result, out = str(tmp_path / "made"), str(tmp_path / "out.csv")
     assert main(["predict", result, str(tmp_path / "rows.csv"), "--out", out, "--frame", "tip"]) == 0
-    np.testing.assert_allclose(pd.read_csv(out)[["x_mm", "y_mm", "z_mm"]], true, atol=0.06)
+    np.testing.assert_allclose(pd.read_csv(out, comment="#")[["x_mm", "y_mm", "z_mm"]], true, atol=0.06)
     said = capsys.readouterr().out
     assert "not corrected" not in said
     assert "Corrected by columns of the rows: joint compliance under measured torque; the verdict is about" in said

@@ -50,10 +50,8 @@ def written(form, frame, folder):
     return file
 
 
-@pytest.mark.parametrize("form", ["csv", "large", "txt", "xlsx", "npz", "npy", "frame", "arrays"])
-def test_columns_of_effects_are_kept_to_the_bit(form, frame, tmp_path, monkeypatch):
-    if form == "large":
-        monkeypatch.setattr("casacal.tables.read.LARGE_FILE", 0)
+@pytest.mark.parametrize("form", ["csv", "txt", "xlsx", "npz", "npy", "frame", "arrays"])
+def test_columns_of_effects_are_kept_to_the_bit(form, frame, tmp_path):
     samples = samples_from(written(form, frame, tmp_path), SOURCE)
     for name in (*TORQUES, "payload_kg"):
         # a workbook keeps sixteen digits
@@ -72,11 +70,9 @@ NEAR = {"torque6_nm": "torque6_Nm", "Torque2_Nm": "torque2_Nm", "paylod_kg": "pa
         "payload": "payload_kg", "torque6": "torque6_Nm"}  # fmt: skip
 
 
-@pytest.mark.parametrize("form", ["csv", "large", "npz", "frame"])
+@pytest.mark.parametrize("form", ["csv", "npz", "frame"])
 @pytest.mark.parametrize("near", NEAR)
-def test_a_column_that_is_nearly_called_so_is_asked_about(near, form, frame, tmp_path, monkeypatch):
-    if form == "large":
-        monkeypatch.setattr("casacal.tables.read.LARGE_FILE", 0)
+def test_a_column_that_is_nearly_called_so_is_asked_about(near, form, frame, tmp_path):
     given = written(form, frame.rename(columns={NEAR[near]: near}), tmp_path)
     said = rf"there is no column '{NEAR[near]}' \(did you mean '{near}'\?\)\. Call it {NEAR[near]}"
     for read in (samples_from, joints_from):
@@ -96,10 +92,8 @@ def test_a_column_that_is_merely_absent_or_another_thing_is_no_question(frame, t
 
 
 @pytest.mark.parametrize("cell", ["", "nan", "5kg", "inf", "1,5"])
-@pytest.mark.parametrize("form", ["csv", "large"])
-def test_one_bad_cell_is_named_with_line_and_column(cell, form, frame, tmp_path, monkeypatch):
-    if form == "large":
-        monkeypatch.setattr("casacal.tables.read.LARGE_FILE", 0)
+@pytest.mark.parametrize("form", ["csv"])
+def test_one_bad_cell_is_named_with_line_and_column(cell, form, frame, tmp_path):
     cells = frame["payload_kg"].astype(object)
     cells[3] = cell
     given = written(form, frame.assign(payload_kg=cells), tmp_path)

@@ -6,7 +6,20 @@ import math
 import numpy as np
 import pytest
 
-from casacal import bind, calibrate, simulate
+from casacal import (
+    Cell,
+    DialOnPlane,
+    Joint,
+    Problem,
+    Robot,
+    bind,
+    calibrate,
+    corner,
+    deg,
+    scaled_to_accuracy,
+    simulate,
+    tool_point,
+)
 from casacal.calibration.verdict import verdict_of
 from casacal.checks import check
 from casacal.checks.numbers import wrong_number
@@ -99,3 +112,57 @@ def test_an_error_of_manufacture_is_no_wrong_number(hsr, seed):
     samples = with_lost_zero(hsr, 3, math.degrees(4e-3), seed, error_scale=0.2)
     assert wrong_number(bind(hsr.problem, samples)) == []
     assert wrong_number(bind(hsr.problem, with_lost_zero(hsr, 3, math.degrees(9e-3), seed, error_scale=0.2)))
+
+
+def _ur10e(length):
+    """A UR10e with a tool of a length (mm), as its maker's table has it, and its cell."""
+    rows = ((90, 0, 180.7), (0, -612.7, 0), (0, -571.55, 0), (90, 0, 174.15), (-90, 0, 119.85), (0, 0, 116.55))
+    robot = Robot.from_dh(
+        "UR10e",
+        alpha=deg(*(row[0] for row in rows)),
+        a=[row[1] for row in rows],
+        d=[row[2] for row in rows],
+        theta=deg(*[0] * 6),
+        parallel=(2, 3),
+        joints=[Joint("revolute", *deg(-360, 360))] * 6,
+    )
+    dial = DialOnPlane(noise_std=0.01, sign=-1, travel=10.0, tool=tool_point(0, 0, length, prior_std=1.0))
+    return scaled_to_accuracy(Problem(robot, dial), 0.5)
+
+
+@pytest.fixture(scope="module")
+def longer_tool():
+    """Rows of an arm whose tool is 4.5 mm longer than stated, and the problem that states 115 mm."""
+    cell = Cell(faces=corner((800.0, 0.0, 400.0), size=400.0))
+    return _ur10e(115.0), simulate(_ur10e(119.5), cell, samples=90, seed=5).samples
+
+
+def test_a_longer_tool_and_the_last_link_are_named_together_the_tool_first(longer_tool):
+    """The two move the tip alike; whoever corrected d6 got a flange that is 4.5 mm wrong, and "Calibrated"."""
+    problem, samples = longer_tool
+    (error,) = (finding for finding in check(problem, samples) if finding.severity == "error")
+    assert error.about == "tool or d6 elsewhere"
+    assert error.cause.index("the tool") < error.cause.index("d6")
+    sizes = [float(error.cause.split(name)[1].split(" mm")[0]) for name in ("tool_z by ", "d6 (by ")]
+    assert sizes == pytest.approx([4.5, 4.5], abs=0.5)
+    assert "Measure the tool from the flange and the zero of the dial first" in error.fix
+    refused = verdict_of(calibrate(problem, samples, reference=False))
+    assert refused.level == "do not use"
+    for words in (str(error), *refused.reasons):
+        assert "--prior" not in words
+    assert not [finding for finding in check(problem, samples) if finding.about == "tool elsewhere"], "said once"
+    right = calibrate(_ur10e(119.5), samples, reference=False)
+    assert verdict_of(right).level == "calibrated", "who obeys is better off"
+
+
+@pytest.mark.parametrize("length", [112.0, 119.5])
+def test_a_held_tool_is_named_as_well(length):
+    """A tool without a prior is no unknown, and yet these rows cannot tell it from the last link."""
+    held = tool_point(0, 0, 115.0, free=False)
+    problem = _ur10e(115.0)
+    problem = Problem(problem.robot, dataclasses.replace(problem.instrument, tool=held))
+    cell = Cell(faces=corner((800.0, 0.0, 400.0), size=400.0))
+    samples = simulate(_ur10e(length), cell, samples=90, seed=6).samples
+    (error,) = (finding for finding in check(problem, samples) if finding.severity == "error")
+    assert error.about.startswith("tool")
+    assert "--prior" not in str(error)

@@ -22,6 +22,7 @@ from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.tables.columns import combinations, rows_by_code
 
+LARGEST = 1e30  # noise beyond which, or below whose inverse, squares of residuals are no numbers any more
 TOGETHER = 16_384  # rows looked at together, so that a million are never copied at once
 
 
@@ -119,11 +120,12 @@ def make_block(
     usual = np.array(list((elsewhere | told_sizes(model.effects, Site(problem.robot, instrument), survey)).values()))
     block = Block(model, samples, row_slots, pattern, columns, constants, tuple(beside.values()), away, usual, noise)
     noise[:] = block.at_nominal(model.columns.noise)
-    for bad in np.flatnonzero(~(np.isfinite(noise) & (noise > 0)).all(axis=1))[:1]:
+    for bad in np.flatnonzero(~((noise > 1 / LARGEST) & (noise < LARGEST)).all(axis=1))[:1]:
         raise ProblemError(
             f"{samples.file}, line {samples.lines[bad]}: the noise of {type(instrument).__name__} is "
             f"{noise[bad][0]:g} in this row, as when the plunger is parallel to the face",
-            "Declare a noise of the residual itself (contact_std, residual_std), or remove the row",
+            f"State noise_std between {1 / LARGEST:g} and {LARGEST:g}; or declare a noise of the residual "
+            "itself (contact_std, residual_std), or remove the row",
         )
     return block
 

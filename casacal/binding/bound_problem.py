@@ -18,6 +18,7 @@ from casacal.binding.raw_graph import RawGraph
 from casacal.binding.slots import Slot, make_slots, nominals
 from casacal.binding.symbolic import SymbolicProblem
 from casacal.discrepancy.effect import Survey
+from casacal.errors import ProblemError, SamplesError
 from casacal.problem.problem import Problem
 from casacal.samples.measurements import Measurements, sets_of
 from casacal.samples.samples import Samples
@@ -40,10 +41,45 @@ def bind(
         threads: how many share thousands of rows; None takes CASACAL_THREADS, else the processors at hand. Results do
             not depend on it.
 
-    Raises ProblemError when the number of sample sets is wrong or a label has too few rows for its own unknowns.
+    Raises ProblemError when the number of sample sets is wrong, a label has too few rows for its own unknowns, or a row
+    has a derivative that is not finite at the nominal.
 
     """
-    return BoundProblem(problem, make_slots(problem, sets := sets_of(samples)), sets, backend, threads)
+    for some in (sets := sets_of(samples)):
+        if isinstance(some, Samples):  # what is none, is refused below
+            _refuse_absurd(some)
+    bound = BoundProblem(problem, make_slots(problem, sets), sets, backend, threads)
+    if bound.unknowns and not np.isfinite(bound.normal(bound.x0).gradient).all():
+        _refuse_kinks(bound)
+    return bound
+
+
+ABSURD = 1e12  # mm, rad or of whatever is read; squares of more overflow
+
+
+def _refuse_absurd(samples: Samples) -> None:
+    """Raise SamplesError where there are no rows, or values with which nothing can be computed."""
+    if not len(samples):
+        raise SamplesError(samples.file, "there are no rows", "Give at least as many as there are unknowns")
+    joints = {f"joint {k}": values for k, values in enumerate(samples.joints.T, 1)}
+    for name, values in {**joints, **samples.columns}.items():
+        if not np.abs(values).max() < ABSURD and len(far := np.flatnonzero(np.abs(values) >= ABSURD)):
+            what = f"{values[far[0]]:g} as {name} is no value that anything shows"
+            raise SamplesError(samples.file, what, "Check the value and its unit", line=samples.lines[far[0]])
+
+
+def _refuse_kinks(bound: BoundProblem) -> None:
+    """Raise ProblemError for the first row with a residual at the nominal but no derivative, as of a norm at zero."""
+    smooth = np.isfinite(bound.jacobian(bound.x0)).all(axis=1)
+    for row in np.flatnonzero(~smooth & np.isfinite(bound.residual(bound.x0))):
+        i = int(np.searchsorted(bound.starts, row, side="right")) - 1
+        samples, before = bound.samples[i], sum(map(len, bound.samples[:i]))
+        line = samples.lines[int(bound.sample_of[row]) - before]
+        raise ProblemError(
+            f"{samples.file}, line {line}: the residual of {type(bound.problem.instruments[i]).__name__} has no finite "
+            "derivative in this row, as a norm has none at zero, nor acos at one",
+            "Write it smoothly, such as sqrt(sumsqr(v) + 1e-6) for norm_2(v) or atan2 for acos; or leave the row out",
+        )
 
 
 class BoundProblem(EvaluatedRows):

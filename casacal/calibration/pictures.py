@@ -11,6 +11,7 @@ import numpy as np
 from casacal.calibration.calibration import Calibration
 from casacal.files import place_whole
 from casacal.uncertainty.workspace import tip_stds, without_rigid
+from casacal.version import __version__
 
 FILTER_POINTS = 60  # rows at which a filter's objective is drawn
 FLOOR = 1e-9  # added so that the lowest value itself can stand on a logarithmic axis; below rounding
@@ -111,6 +112,6 @@ def save_plots(calibration: Calibration, folder: Path) -> None:
         figure = Figure(figsize=size, layout="constrained")
         FigureCanvasAgg(figure)
         draw(calibration, figure.subplots())
-        # no software or date in the file: the same input gives the same bytes
-        save = partial(figure.savefig, dpi=150, metadata={"Software": None})
+        # no date in the file: the same input gives the same bytes
+        save = partial(figure.savefig, dpi=150, metadata={"Software": f"casacal {__version__}"})
         place_whole(folder / f"{name}.png", save)

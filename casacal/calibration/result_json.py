@@ -20,7 +20,7 @@ from casacal.calibration.verdict import verdict_of
 from casacal.calibration.warnings import warnings
 from casacal.compensation.result_file import sealed
 from casacal.errors import CasacalError
-from casacal.files import side_by_side, together, write_json, write_text
+from casacal.files import MADE, side_by_side, together, write_json, write_text
 from casacal.least_squares.result import Result, Status
 from casacal.problem.problem_file import ProblemFile
 from casacal.samples.measurements import Measurements
@@ -137,6 +137,7 @@ def write_calibration(
 def _table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Parameters as CSV."""
     text = io.StringIO()
+    text.write(f"# {MADE} {__version__}\n")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(("name", "unit", "nominal", "estimate", "change", "std", "known_from"))
     for row in rows:

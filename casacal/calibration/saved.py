@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ import casadi as ca
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.result_file import read_result
-from casacal.errors import CasacalError, came
+from casacal.errors import CasacalError, RefusedResultWarning, came
 from casacal.problem.problem import Problem
 from casacal.values import Value
 
@@ -32,6 +33,12 @@ class AsArm(ABC):
     @abstractmethod
     def arm(self) -> CalibratedArm:
         """The problem and the estimate."""
+
+    def _answering(self, *, drawn: bool = False) -> CalibratedArm:
+        """The arm, with a warning where its verdict is not to use it, unless only what is drawn is asked for."""
+        if not drawn and (words := self.arm.denial) is not None:
+            warnings.warn(words, RefusedResultWarning, stacklevel=3)
+        return self.arm
 
     def to_dict(self) -> dict[str, Any]:
         """All that result.json holds, in JSON's own types."""
@@ -52,12 +59,13 @@ class AsArm(ABC):
             Positions (N, 3) in mm and unit quaternions (N, 4; w, x, y, z) in the base frame, and standard deviations
             (N,) in mm where asked for. The quaternions are those of the flange for both frames.
 
-        Raises CasacalError for joint values that do not fit, and as `casacal.compensation.predict` does.
+        Warns (`RefusedResultWarning`) where the verdict is not to use the result, as `values` and functions do. Raises
+        CasacalError for joint values that do not fit, and as `casacal.compensation.predict` does.
 
         """
         from casacal.compensation.predict import predict
 
-        return predict(self.arm, q, frame=frame, nominal=nominal, std=std)
+        return predict(self._answering(drawn=nominal), q, frame=frame, nominal=nominal, std=std)
 
     def compensate(
         self,
@@ -145,7 +153,7 @@ class AsArm(ABC):
         """
         from casacal.export.functions import pose_function
 
-        return pose_function(self.arm, nominal=nominal, free=free)
+        return pose_function(self._answering(drawn=nominal or free), nominal=nominal, free=free)
 
     def tip_function(self, *, nominal: bool = False, free: bool = False) -> ca.Function:
         """Function q (n; rad, mm) -> tip (3; mm), where the instrument touches at reading zero.
@@ -155,7 +163,7 @@ class AsArm(ABC):
         """
         from casacal.export.functions import tip_function
 
-        return tip_function(self.arm, nominal=nominal, free=free)
+        return tip_function(self._answering(drawn=nominal or free), nominal=nominal, free=free)
 
     def values(self, *, frame: Literal["flange", "tip"] = "flange", nominal: bool = False) -> dict[str, Array]:
         """Values of the parameters by name, mm and rad, as functions with free parameters take them.
@@ -164,7 +172,7 @@ class AsArm(ABC):
         """
         from casacal.export.functions import values_of
 
-        return values_of(self.arm, frame=frame, nominal=nominal)
+        return values_of(self._answering(drawn=nominal), frame=frame, nominal=nominal)
 
 
 def parameter_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:

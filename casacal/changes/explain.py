@@ -24,7 +24,7 @@ from casacal.changes.change import Change
 from casacal.changes.look import Look, alone
 from casacal.changes.posterior import Posterior, Prior
 from casacal.errors import CasacalError
-from casacal.files import write_text
+from casacal.files import MADE, write_text
 from casacal.least_squares.linalg import svd
 from casacal.planning.choice import drawn_touch, pool_of
 from casacal.planning.route import FIT, postures_text, shortest_way
@@ -231,7 +231,7 @@ def write_touches(path: str | Path, found: Change, layout: Layout, name: str) ->
     if found.touches is None:
         return
     notes = [
-        f"touches that would settle what changed, by casacal for {name}: not a measurement",
+        f"touches that would settle what changed, {MADE} for {name}: not a measurement",
         f"between {' and '.join(cause.name for cause in found.causes)}",
         "bring the arm to each posture, then along the plunger until the instrument reads; write down the joint values "
         "that the controller shows and the reading that there is, not the expected one; give them with the other rows",

@@ -129,4 +129,5 @@ def _told(best: _Trial, base: float, tried: list[_Trial]) -> Cause:
         f"{causes}{best.undone.found}: {undone}, the misfit falls from {times(base)} to {times(best.size)} times the "
         f"stated noise{also}"
     )
-    return Cause(Finding("error", names, cause, ". ".join(fault.fix for fault in best.faults)), best.undone)
+    fix = ". ".join(fault.fix for fault in best.faults) + ("" if rivals else best.undone.offer)
+    return Cause(Finding("error", names, cause, fix), best.undone)

@@ -81,8 +81,8 @@ def flips(problem: Problem) -> Iterator[Fault]:
 def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
     """Mistakes that concern the tool, one face, two joints, or the order of the rows."""
     probe, turns = problem.instrument.probe, problem.robot.revolute
-    if names := ",".join(tool_keys(problem)):
-        fix = f"Measure the tool again, and correct it in the problem (--free {names} --prior {names}=20 tries it)"
+    if tool_keys(problem):
+        fix = "Measure the tool from the flange again, and correct it in the problem file"
         cause = "the tool seems to be elsewhere"
         yield Fault("tool elsewhere", cause, fix, tool_elsewhere, 3)
     if probe is not None and probe.column is not None:

@@ -55,13 +55,15 @@ FIRST_STEPS = 6  # steps of a first look, which tells what is promising: with th
 class Undone:
     """Problem and samples as they would be without a fault.
 
-    `found` says its size where that was fitted; `start` (n,) is where such a fit ended, for further ones.
+    `found` says its size where that was fitted; `start` (n,) is where such a fit ended, for further ones. `offer` is
+    how `calibrate` tries it, where nothing else explains the rows.
     """
 
     problem: Problem
     samples: Samples
     found: str = ""
     start: Array | None = None
+    offer: str = ""
 
 
 Undo: TypeAlias = Callable[[Problem, Samples], Undone]

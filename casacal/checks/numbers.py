@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 
 import numpy as np
@@ -13,6 +13,8 @@ from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.marginal import Seen
 from casacal.binding.noise_scale import times
 from casacal.checks.finding import Fault, Finding, Undone, quick_fit
+from casacal.checks.fitted_faults import tool_keys
+from casacal.errors import CasacalError
 from casacal.estimators import lm
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
@@ -24,6 +26,7 @@ from casacal.uncertainty.noise import found_noise
 from casacal.uncertainty.prior_moves import DULL
 from casacal.uncertainty.workspace import tip_rms, tip_stds, without_rigid, workspace_joints
 from casacal.unknowns import Parameter
+from casacal.wording import listed
 
 WIDE = {"rad": 0.1, "mm": 20.0}  # smallest prior under which `calibrate` tries another number, by unit
 TWISTS = "alpha", "beta"  # angles of a DH table that no mastering moves
@@ -39,6 +42,7 @@ UNLIKELY = 1e-2  # the same, beyond which it is mentioned
 WARM = 1e-3  # part by which an arm grows that is 40 degrees warmer than its drawing, and more, of any metal
 MOST_PART = 0.1  # no dial is so wrong; where all touches were driven to one depth, readings seem to mean nothing at all
 
+TOLD = 4.5  # cost, in units of the noise, by which rows tell two causes apart: three standard deviations
 TRIED = 2  # numbers that are freed one by one, those first that gain most
 
 
@@ -76,12 +80,52 @@ def wrong_number(bound: BoundProblem, *, alone: bool = False) -> list[Finding]:
             wide = bind(bound.problem.with_prior({name: abs(by)}), *bound.samples)
             if not alone and _likelihood(wide) < _likelihood(stated):
                 return []  # errors that rows share pull a number far as well
-            cause = (
-                f"{name} seems to differ from the problem file{_by(bound.problem, key, name, by)}, which is "
-                f"{abs(by) / prior:.2g} prior standard deviations; no other parameter is so far off"
-            )
+            size = f"{_by(bound.problem, key, name, by)}, which is {abs(by) / prior:.2g} prior standard deviations"
+            if rivals := _rivals(bound, name, found.cost + TOLD * noise**2):
+                return [_one_of(bound.problem, rivals, name, size)]
+            cause = f"{name} seems to differ from the problem file{size}; no other parameter is so far off"
             return [Finding("error", f"{name} elsewhere", cause, _fix(name, unit) + _tried(name, unit, by))]
     return []
+
+
+def _rivals(bound: BoundProblem, name: str, cost: float) -> dict[str, str]:
+    """What else of tool, instrument and arm explains the rows at no more than a cost, by name, and by how much.
+
+    The instrument's own numbers come first, the tool before all others: it is what people exchange and mistype.
+    """
+    problem, found = bound.problem, dict[str, str]()
+    own = dict.fromkeys(full for key, full in problem.full_names[0].items() if key not in problem.instrument.datum)
+    tool = [problem.full_names[0][key] for key in tool_keys(problem)]
+    groups = {**({"tool": tool} if tool else {}), **{key: [key] for key in own if key not in tool}}
+    for title, keys in (groups | {each: [each] for each, *_ in _priors(problem) if each != name}).items():
+        try:
+            other = bind(problem.free(*keys).with_prior(dict.fromkeys(keys, math.inf)), *bound.samples)
+            fitted = lm(other)
+        except CasacalError:  # nothing of it can be freed
+            continue
+        if fitted.converged and fitted.cost <= cost:
+            parts = tuple(f"{key}{sign}" for key in keys for sign in "_.")
+            rows = [j for j, each in enumerate(other.names) if each in keys or each.startswith(parts)]
+            far = max(rows, key=lambda j: abs(fitted.x[j]))
+            found[title] = f"{other.names[far]} by {fitted.x[far]:+.3g} {other.units[far]}"
+    return found
+
+
+def _one_of(problem: Problem, rivals: Mapping[str, str], name: str, size: str) -> Finding:
+    """That one of several numbers that rows cannot tell apart is another than the problem says."""
+    probe = problem.instrument.probe
+    zero = " and the zero of the dial" if probe is not None and probe.column is not None else ""
+    said = [f"{'the ' if title == 'tool' else ''}{title} ({by})" for title, by in rivals.items()]
+    cause = (
+        "one of these seems to differ from the problem file, and these samples cannot tell which: "
+        f"{'; '.join(said)}; {name} ({size.removeprefix(', ')})"
+    )
+    first = f"the tool from the flange{zero} first" if "tool" in rivals else listed([*rivals, name])
+    fix = (
+        f"Measure {first}, and correct in the problem file only what proves to be wrong: another choice fits as well "
+        "and puts the flange elsewhere"
+    )
+    return Finding("error", f"{listed([*rivals, name], 'or')} elsewhere", cause, fix)
 
 
 def wrong_scale(bound: Seen, x: Array, covariance: Array) -> list[Finding]:
@@ -122,6 +166,8 @@ def without_its_likes(findings: Iterable[Finding]) -> list[Finding]:
     """What was found, but for numbers that look like others because the scale of the readings is wrong."""
     found = list(findings)
     scaled = any(each.about == SCALE for each in found)
+    if any(each.about.startswith(("tool or ", "tool, ")) for each in found):
+        found = [each for each in found if each.about != TOOL]
     return [each for each in found if not (scaled and each.about.endswith(" elsewhere") and each.about != TOOL)]
 
 
@@ -167,7 +213,7 @@ def _freed(problem: Problem, samples: Samples, *, name: str) -> Undone:
         return Undone(problem, samples)
     bound, result = fitted
     by = float(result.x[bound.names.index(name)])
-    return Undone(freed, samples, _by(problem, key, name, by) + _tried(name, unit, by), result.x)
+    return Undone(freed, samples, _by(problem, key, name, by), result.x, _tried(name, unit, by))
 
 
 def _by(problem: Problem, key: str, name: str, by: float) -> str:

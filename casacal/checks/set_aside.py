@@ -16,7 +16,7 @@ from casacal.binding.noise_scale import times
 from casacal.binding.nominal import nominal_tips
 from casacal.checks.finding import Finding
 from casacal.checks.outliers import Outliers, most_by_chance, robust_fit, single_rows, studentised_outliers
-from casacal.errors import CasacalError
+from casacal.errors import CasacalError, SamplesError
 from casacal.estimators import lm
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
@@ -45,6 +45,8 @@ def gross(bound: BoundProblem, *, drawn: BoundProblem | None = None) -> tuple[ND
 
     bound: the rows to be fitted; with effects beside the geometry, their sizes and the noise as found. drawn: the same
     under the geometry alone, which says what lies far off with the arm as drawn.
+
+    Raises SamplesError where it is half the rows of one of several instruments.
     """
     none = np.zeros(len(bound.measured), dtype=bool)
     drawn = drawn or bound
@@ -58,6 +60,7 @@ def gross(bound: BoundProblem, *, drawn: BoundProblem | None = None) -> tuple[ND
         if not found.any():
             break
         bad[np.flatnonzero(~bad)[found]] = True
+        _refuse_contradiction(bound, bad)
     if (bad & ~stray).any():
         bad = _taken_back(bound, bad, stray)
     rest = _without(bound, bad)
@@ -73,6 +76,17 @@ def gross(bound: BoundProblem, *, drawn: BoundProblem | None = None) -> tuple[ND
         worst = float(_sizes(judged, result)[rows].max())
         findings += single_rows(judged, result, Outliers(tuple(rows.tolist()), worst, _most(judged), 1.0))
     return bad, tuple(findings)
+
+
+def _refuse_contradiction(bound: BoundProblem, bad: NDArray[np.bool_]) -> None:
+    """Raise SamplesError where half the rows of one of several instruments do not belong: these are not single rows."""
+    starts = np.cumsum([0, *map(len, bound.samples)])
+    for k, (name, some) in enumerate(zip(bound.problem.names, bound.samples, strict=True)):
+        off = int(bad[starts[k] : starts[k + 1]].sum())
+        if len(bound.samples) > 1 and 2 * off >= len(some):
+            what = f"the instruments contradict each other: {off} of {counted(len(some), 'row')} of {name} lie far off"
+            fix = f"Check unit, sign, frame and tool of {name}, and what is shared with it; or leave its rows out"
+            raise SamplesError(some.file, f"{what} where the others put the arm", fix)
 
 
 def _without(bound: BoundProblem, bad: NDArray[np.bool_]) -> BoundProblem | None:

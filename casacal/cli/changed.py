@@ -16,7 +16,6 @@ from casacal.cli.common import (
     fresh_rows,
     made_from,
     spare,
-    spare_measured,
     whole_number,
 )
 from casacal.cli.terminal import say_json, say_paragraphs
@@ -56,7 +55,6 @@ def run(options: argparse.Namespace) -> int:
         check_folder("--update", options.update)
         outs.append(Path(options.update) / "result.json")
     spare(outs, options.samples, options.readings, result.file, *made_from(result))
-    spare_measured(outs)
     standing = names_of("--standing", options.standing)
     given = opened(result, rows, problem=other, instrument=named, standing=standing)
     drift = numbers_of("--drift", options.drift, "NAME=STD", "mm or rad, such as theta=2e-5")

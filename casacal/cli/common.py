@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from casacal.samples.samples import Samples
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-HEAD = 16384  # bytes of a file that tell what it is
 
 
 def add(
@@ -119,28 +118,21 @@ def fresh_rows(options: argparse.Namespace) -> tuple[CalibratedArm, ProblemFile 
     return result, other, named, problem.read(options.samples, readings=options.readings, key=options.id)
 
 
-def spare(outs: Iterable[str | Path], *inputs: str | Path | None, option: str = "--out") -> None:
-    """Raise CasacalError where a command would write over what it reads."""
+def spare(outs: Iterable[str | Path], *inputs: str | Path | None, option: str = "--out", own: bool = False) -> None:
+    """Raise CasacalError where a command would write over what it reads, or what casacal did not write.
+
+    own: whether the command itself knows its own files from others.
+    """
+    from casacal.files import recover, refuse_others
+
     for out in outs:
+        recover(Path(out).parent)
         for given in inputs:
             if given is not None and Path(given).is_file() and Path(out).exists() and Path(out).samefile(given):
                 fix = f"Name another {option}"
                 raise CasacalError(f"'{out}' is to be written, and it is what the command reads", fix)
-
-
-def spare_measured(outs: Iterable[str | Path], option: str = "--out") -> None:
-    """Raise CasacalError where a command would write over measured rows, or over a program."""
-    for out in map(Path, outs):
-        if not out.is_file():
-            continue
-        with out.open("rb") as file:
-            lines = [line for line in file.read(HEAD).splitlines() if line.strip()]
-        first, header = (next(iter(each), b"") for each in (lines, (x for x in lines if not x.startswith(b"#"))))
-        made = first.startswith((b"# planned by casacal", b"# simulated by casacal"))
-        if first.startswith(b"# measured by casacal") or (b"reading_" in header and not made):
-            raise CasacalError(f"'{out}' exists and holds measured rows", f"Name another {option}, or remove it first")
-        if out.suffix.lower() == ".py":
-            raise CasacalError(f"'{out}' exists and is a program", f"Name another {option}, or remove it first")
+        if not own:
+            refuse_others(out, option=option)
 
 
 def read_arm(options: argparse.Namespace, *inputs: str | None) -> CalibratedArm:
@@ -151,7 +143,6 @@ def read_arm(options: argparse.Namespace, *inputs: str | None) -> CalibratedArm:
     spare([options.out], options.result, *inputs)
     result = seen_by(read_result(options.result), options.instrument)
     spare([options.out], result.file, *made_from(result))
-    spare_measured([options.out])
     return result
 
 

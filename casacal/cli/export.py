@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add(parser, "--to", words, choices=("dh", "urdf", "zeros", "ur", "c", "casadi", "frame"), required=True)
     add(parser, "--out FILE", "file to write", required=True)
-    add(parser, "--source FILE", "for dh and urdf: a file of yours to copy with only its numbers changed")
+    add(parser, "--source FILE", "for urdf: a file of yours to copy with only its numbers changed")
     add(parser, "--prefix WORD", "for c: prefix of function names; default: the problem's name")
     add(parser, "--faces A,B,C", "for frame: z normal to the first, x to the second, origin in all three")
     add(parser, "--points A,B,C", "for frame: origin, a point along x, a point beside it")
@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
 
     if options.to != "frame" and (options.faces or options.points):
         raise CasacalError(f"--to {options.to} has no work object", "Leave out --faces and --points")
-    if options.source is not None and options.to not in ("dh", "urdf"):
+    if options.source is not None and options.to != "urdf":
         raise CasacalError(f"--to {options.to} writes no file back", "Leave out --source")
     if options.prefix is not None and options.to != "c":
         raise CasacalError(f"--to {options.to} has no names of functions", "Leave out --prefix")

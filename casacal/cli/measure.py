@@ -61,9 +61,9 @@ def run(options: argparse.Namespace) -> int:
     from casacal.problem.problem_file import load_problem
 
     source = of_instrument(load_problem(options.problem), options.instrument)
-    spare([options.out], *(file.path for file in source.files), options.plan, options.targets)
+    spare([options.out], *(file.path for file in source.files), options.plan, options.targets, own=True)
     meter = gauge(options.gauge, pattern=options.pattern, unit=options.unit, asks=options.ask)
-    session, file = _begun(on_table(source, options), options)
+    session, file = _begun(source if options.table is None else on_table(source, options), options)
     line = None
     if options.serial is not None:
         line = SerialLine(options.serial, baud=options.baud, **_frame(options.frame))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casacal.cli.adjust import add_clearance, add_where, clearance_of, on_table, stds_of, where
-from casacal.cli.common import DONE, JSON, PROBLEM, add, of_instrument, spare, spare_measured, whole_number
+from casacal.cli.common import DONE, JSON, PROBLEM, add, of_instrument, spare, whole_number
 from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
 
@@ -70,7 +70,6 @@ def run(options: argparse.Namespace) -> int:
     source = of_instrument(load_problem(options.problem), options.instrument)
     outs = [options.out, *([] if options.sheet is None else [options.sheet])]
     spare(outs, *(file.path for file in source.files), source.samples, options.targets, options.after)
-    spare_measured(outs)
     warned = _wrong_with(source, options)
     source = on_table(source, options)
     clearance = clearance_of(options, source.problem)
@@ -172,7 +171,7 @@ def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clea
     """Write the plan and what was asked for beside it; all is made before anything is written."""
     from casacal.fieldwork.approaches import approaches
     from casacal.fieldwork.handouts import PROGRAMS, program_text, sheet_page
-    from casacal.files import write_text
+    from casacal.files import together, write_text
     from casacal.planning.written import cell_words, plan_text
 
     problem, name = source.problem, source.name
@@ -199,6 +198,9 @@ def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clea
             )
     if len(texts) < 1 + (options.sheet is not None) + len(set(options.program)):
         raise CasacalError("Two of the files to write have the same name", "Name others")
-    for path, text in texts.items():
-        write_text(path, text)
+    out, *others = texts
+    elsewhere = {f"{k}{path.suffix}": path for k, path in enumerate(others)}
+    with together(out.parent, [*elsewhere, out.name], asked=out, elsewhere=elsewhere) as place:
+        for name, text in zip([out.name, *elsewhere], texts.values(), strict=True):
+            write_text(place / name, text)
     return [path.as_posix() for path in texts]

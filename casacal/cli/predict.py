@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from casacal.cli.common import DONE, INSTRUMENT, JSON, RESULT, add, add_frame, read_arm
+from casacal.cli.common import DONE, FAILED, FORCE, INSTRUMENT, JSON, RESULT, add, add_frame, read_arm
 from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.wording import listed
 
@@ -16,7 +16,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Write the pose x_mm,y_mm,z_mm,qw,qx,qy,qz of a calibrated arm at each row of joint values, in the base frame. "
         "The flange is what robot.pose of the problem gives; the tip is where the instrument touches, including tool "
-        "and, where JOINTS has that column, the reading."
+        "and, where JOINTS has that column, the reading. Exit 1 for a result that must not be used, unless --force is "
+        "given."
     )
     add(parser, *RESULT)
     add(parser, *INSTRUMENT)
@@ -25,19 +26,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_frame(parser, "poses of the flange or of the tip")
     add(parser, "--std", "add a column std_mm: standard deviation of the position, apart from the position of the base")
     add(parser, "--nominal", "use the arm as drawn, not as calibrated")
+    add(parser, *FORCE)
     add(parser, *JSON)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Predict as the options say; returns 0."""
+    """Predict as the options say; returns 0, or 1 where the result must not be used."""
     from casacal.compensation.predict import predict, read_joints, write_prediction
     from casacal.compensation.told import told_despite, told_notes
 
     result = read_arm(options, options.joints)
     joints = read_joints(options.joints, result.source)
     prediction = predict(result, joints, frame=options.frame, nominal=options.nominal, std=options.std)
-    write_prediction(options.out, prediction)
     count, used = len(prediction.positions), told_despite(result, prediction.missing)
+    refused = None if options.nominal else used.denial
+    write_prediction(options.out, prediction, [] if refused is None else [f"WARNING, against the verdict: {refused}"])
     if options.json:
         said = {
             "unseen": list(prediction.unseen),
@@ -60,4 +63,4 @@ def run(options: argparse.Namespace) -> int:
             )
         if (words := used.denial or used.caution) is not None and not options.nominal:
             say_paragraphs(words)
-    return DONE
+    return DONE if refused is None or options.force else FAILED

@@ -83,7 +83,6 @@ def run(options: argparse.Namespace) -> int:
     from casacal.wording import METRE, UNBOUNDED
 
     out = Path(options.out)
-    _spare_measurements(out)
     if out.suffix.lower() not in (".csv", ".txt", ""):
         fix = f"Name it {out.with_suffix('.csv').name}"
         raise CasacalError(f"simulate writes CSV, but '{out}' does not end in .csv", fix)
@@ -91,7 +90,6 @@ def run(options: argparse.Namespace) -> int:
     route, cell = route_of(source, options), _cell(source, options)
     checks = out.with_name(f"{out.stem}_check{out.suffix}")
     for place in (*sample_paths(out, source.problem.names), *([] if route is None else [checks])):
-        _spare_measurements(place)
         spare([place, out.with_suffix(".truth.json")], *(file.path for file in source.files), options.plan)
     counts = _counts(source, options.samples) if route is None else route.samples
     simulation = simulate(source.problem, cell, samples=counts, seed=options.seed, session=options.session)
@@ -159,12 +157,6 @@ def _beside(simulation: Simulation) -> list[str]:
             "error, is in Simulation.true_tips (Python)"
         )
     return said
-
-
-def _spare_measurements(out: Path) -> None:
-    """Raise CasacalError where simulated samples would take the place of a file that is not simulated."""
-    if out.is_file() and not _is_simulated(out):
-        raise CasacalError(f"'{out}' exists and was not simulated", "Name another file, or remove it first")
 
 
 def _is_simulated(path: Path) -> bool:

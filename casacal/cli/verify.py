@@ -6,11 +6,9 @@ import argparse
 from pathlib import Path
 
 from casacal.cli.adjust import names_of
-from casacal.cli.common import DONE, FAILED, JSON, add, add_fresh_rows, fresh_rows, made_from, spare, spare_measured
+from casacal.cli.common import DONE, FAILED, JSON, add, add_fresh_rows, fresh_rows, made_from, spare
 from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
-
-HEAD = 20_000  # characters of a page in which its title stands
 
 HELP = "test a calibration on fresh rows"
 
@@ -35,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Verify as the options say; returns 0, or 1 when the promise was not kept or the arm not accepted."""
     from casacal.compensation.arm import TRUTH
-    from casacal.files import write_text
+    from casacal.files import LOOKED_AT, write_text
     from casacal.verification.decision import RISK
     from casacal.verification.page import REPORT, with_section
     from casacal.verification.verify import verify
@@ -47,12 +45,11 @@ def run(options: argparse.Namespace) -> int:
         files = () if other is None else (file.path for file in other.files)
         spare([options.report], result.file, options.samples, options.readings, *files, option="--report")
         spare([options.report], *made_from(result), option="--report")
-        spare_measured([options.report], "--report")
         if not options.report.strip():
             raise CasacalError("--report is empty", "Name a file, such as verified.html")
         if Path(options.report).is_file():
             with Path(options.report).open(encoding="utf-8", errors="replace") as file:
-                if "<title>Calibration of" in file.read(HEAD):
+                if "<title>Calibration of" in file.read(LOOKED_AT):
                     raise CasacalError(f"'{options.report}' is the report of a calibration", "Name another --report")
     found = verify(
         result,

@@ -15,14 +15,15 @@ from casacal.compensation.result_file import arm_from
 from casacal.compensation.spread import RowZeros, position_stds
 from casacal.compensation.told import NOTHING_TOLD, Told, whole_rows
 from casacal.errors import CasacalError, UnknownNameError
-from casacal.files import write_text
+from casacal.files import MADE, write_text
 from casacal.kinematics import stacked_poses
 from casacal.problem.problem_file import ProblemFile
 from casacal.robots.joint_space import joint_values
-from casacal.samples.layout import Layout, numeric_columns
+from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
 from casacal.tables.read import is_frame, read_columns, table_of_frame
 from casacal.values import Value, frozen
+from casacal.version import __version__
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +66,7 @@ class Prediction(Value):
 
 def read_joints(path: str | Path, source: ProblemFile) -> Samples:
     """Read joint values, and the instrument's columns where the file has them; raises SamplesError."""
-    columns = read_columns(path, lambda header: numeric_columns(header, _layout(header, source)))
+    columns = read_columns(path)
     return Samples.from_columns(columns, _layout(columns.header, source))
 
 
@@ -160,9 +161,10 @@ def predict(
     return Prediction(positions, np.roll(xyzw, 1, axis=1), spread, unseen, told.missing, told.beyond)
 
 
-def write_prediction(path: str | Path, prediction: Prediction) -> None:
-    """Write x_mm,y_mm,z_mm,qw,qx,qy,qz, and std_mm where there is one; one row per pose."""
-    lines = ["x_mm,y_mm,z_mm,qw,qx,qy,qz" + (",std_mm" if prediction.std is not None else "")]
+def write_prediction(path: str | Path, prediction: Prediction, remarks: Sequence[str] = ()) -> None:
+    """Write x_mm,y_mm,z_mm,qw,qx,qy,qz, and std_mm where there is one; one row per pose, below remarks."""
+    lines = [f"# predicted, {MADE} {__version__}: poses in the base frame", *(f"# {remark}" for remark in remarks)]
+    lines += ["x_mm,y_mm,z_mm,qw,qx,qy,qz" + (",std_mm" if prediction.std is not None else "")]
     for i, (place, turn) in enumerate(zip(prediction.positions, prediction.quaternions, strict=True)):
         cells = [f"{v:.6f}" for v in place] + [f"{v:.12f}" for v in turn]
         lines.append(",".join(cells if prediction.std is None else [*cells, f"{prediction.std[i]:.6f}"]))

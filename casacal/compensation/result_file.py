@@ -17,7 +17,7 @@ from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.document import check_document
 from casacal.compensation.seen_by import seen_by
 from casacal.errors import CasacalError, came
-from casacal.files import jsonable
+from casacal.files import BY, jsonable, recover
 from casacal.problem.as_data import problem_from
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile, SourceFile, load_problem
@@ -27,7 +27,7 @@ from casacal.robots.robot import Arm
 from casacal.robots.urdf_chain import UrdfChain
 from casacal.unknowns import Parameter
 
-FREE = ("seal", "seconds")  # keys that are not sealed
+FREE = ("seal", "seconds", BY)  # keys that are not sealed
 
 FIX = "Restore it, or calibrate again"
 
@@ -75,6 +75,7 @@ def read_result(path: str | Path, *, problem: Problem | None = None) -> Calibrat
     if not isinstance(path, (str, Path)):
         raise CasacalError(f"Got {came(path)} as a result", "Give the path of a result.json, or of its folder")
     place = Path(path) / "result.json" if Path(path).is_dir() else Path(path)
+    recover(place.parent)
     document = _read(place)
     if problem is not None:
         source = ProblemFile.of(problem, document["problem"]["name"])
@@ -105,6 +106,7 @@ def _read(place: Path) -> dict[str, Any]:
     check_document(str(place), document)
     if "seal" in document or "arm" in document:  # what an older casacal wrote has neither, and is refused later
         check_seal(str(place), document)
+    document.pop(BY, None)
     return document  # type: ignore[no-any-return]
 
 

@@ -14,8 +14,9 @@ from casacal.export.dh import dh_text
 from casacal.export.functions import casadi_text
 from casacal.export.remark import MARK, as_exported, remark
 from casacal.export.urdf import urdf_text
-from casacal.files import write_text
+from casacal.files import MADE, write_text
 from casacal.robots.files.dh_file import is_toml
+from casacal.version import __version__
 
 FORMS = ("dh", "urdf", "zeros", "ur", "c", "casadi")
 """DH table (CSV, or TOML by the file's name), URDF, zero corrections (CSV), ur_description's kinematics, C99, and
@@ -33,7 +34,7 @@ def export(
 ) -> str:
     """A calibrated arm in a form that others read, as text.
 
-    form: one of `FORMS`. path: file to write it to; None writes nothing. source: for "dh" and "urdf", the file written
+    form: one of `FORMS`. path: file to write it to; None writes nothing. source: for "urdf", the file written
     back with only its numbers changed. prefix: for "c", what the functions' names begin with; by default the problem's
     name. force: write a result whose verdict is not to use it, with that verdict as a comment.
 
@@ -45,23 +46,19 @@ def export(
     for place in (path, source):
         if place is not None and not isinstance(place, (str, Path)):
             raise CasacalError(f"Got {came(place)} as a path", "Give a path, or nothing")
-    if source is not None and form not in ("dh", "urdf"):
+    if source is not None and form != "urdf":
         raise CasacalError(f"The form '{form}' writes no file back", "Leave out the source")
     if prefix is not None and form != "c":
         raise CasacalError(f"The form '{form}' has no prefix", "Leave it out")
     as_exported(arm, form).check_usable(force=force)
     if form == "dh":
-        toml = is_toml(path) if path is not None else source is not None and is_toml(source)
-        if source is not None and is_toml(source) != toml:
-            fix = "Let both names end in .csv, or both in .toml"
-            raise CasacalError(f"'{path}' and '{source}' are of different formats", fix)
-        text = dh_text(arm, source, toml=toml)
+        text = dh_text(arm, toml=path is not None and is_toml(path))
     elif form == "urdf":
         text = _remarked(urdf_text(arm, source), arm)
     elif form == "c":
         text = c_text(arm, prefix=prefix)
     elif form == "casadi":
-        text = casadi_text(arm)
+        text = f"{casadi_text(arm)}\n# {MADE} {__version__}\n"  # behind what casadi.Function.load reads
     else:
         text = zeros_text(arm) if form == "zeros" else ur_kinematics_text(arm)
     if path is not None:
@@ -75,8 +72,6 @@ def _remarked(text: str, arm: CalibratedArm) -> str:
     A comment holds no two hyphens.
     """
     text = re.sub(rf"<!-- {MARK}.*?-->\r?\n?", "", text, flags=re.DOTALL)
-    if arm.denial is None and arm.caution is None and not arm.corrected:
-        return text
     words = "\n".join(remark(arm, form="urdf")).replace("--", "- -")
     place = re.search(r"<(?=[A-Za-z_])", text)
     assert place is not None

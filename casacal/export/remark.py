@@ -7,6 +7,7 @@ from pathlib import Path
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.result_file import arm_from
 from casacal.compensation.told import columns_that_tell, where_told
+from casacal.files import MADE
 from casacal.robots.dh_table import DHTable
 from casacal.robots.robot import Robot
 from casacal.robots.urdf_chain import UrdfChain
@@ -35,9 +36,10 @@ def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
     result = as_exported(result, form)
     document = result.document
     name = result.source.name
+    by = f"{MADE} {__version__}"
     if document.get("method") == "truth":
-        return [f"{MARK}the true arm of a simulation of {name}, not a calibration (casacal {__version__})"]
-    lines = [f"{MARK}{name}, calibrated by {document.get('method')}, {Path(result.file).name}, {__version__}"]
+        return [f"{MARK}the true arm of a simulation of {name}, not a calibration ({by})"]
+    lines = [f"{MARK}{name}, calibrated by {document.get('method')}, {Path(result.file).name}, {by}"]
     if not document.get("converged", True):
         lines.append(f"{MARK}WARNING, this is not a minimum: {document.get('status')}")
     if (words := result.denial) is not None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from casacal.errors import CasacalError, SamplesError
-from casacal.files import writable, write_text
+from casacal.files import recover, together, writable, write_text
 from casacal.measuring.touch import Touch, rows_of
 from casacal.planning.route import CHECK, PURPOSES
 from casacal.samples.layout import Layout
@@ -47,6 +47,7 @@ class TouchFile(Value):
 
     def begun(self) -> bool:
         """Whether there is a file already."""
+        recover(self.path.parent)
         return any(path.exists() for path in self._paths)
 
     def refuse_others(self) -> None:
@@ -78,7 +79,7 @@ class TouchFile(Value):
                 whole = data[: data.rfind(b"\n") + 1]
                 if len(whole) < len(data):
                     cut = True
-                    write_text(path, whole.decode(errors="replace")) if whole else path.unlink()
+                    write_text(path, whole.decode(errors="replace"), own=True) if whole else path.unlink()
                 found += self._touches(path)
         found.sort(key=lambda pair: pair[0])
         return [touch for _, touch in found], cut
@@ -92,14 +93,13 @@ class TouchFile(Value):
         _added(path, text.encode())
 
     def rewrite(self, touches: Sequence[Touch]) -> None:
-        """Write all touches anew, each file whole or not at all; a file without any is removed."""
-        for path in self._paths:
-            check = path == self.check_path
-            rows = [(k, touch) for k, touch in enumerate(touches, 1) if (touch.purpose == CHECK) == check]
-            if rows:
-                write_text(path, self._text(rows))
-            else:
-                path.unlink(missing_ok=True)
+        """Write all touches anew, both files or neither; a file without any is removed."""
+        with together(self.path.parent, [path.name for path in self._paths], own=True) as place:
+            for path in self._paths:
+                check = path == self.check_path
+                rows = [(k, touch) for k, touch in enumerate(touches, 1) if (touch.purpose == CHECK) == check]
+                if rows:
+                    write_text(place / path.name, self._text(rows))
 
     def _text(self, rows: Sequence[tuple[int, Touch]]) -> str:
         touches = [touch for _, touch in rows]

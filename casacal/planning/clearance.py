@@ -61,6 +61,7 @@ class Clearance(Value):
             sides = [np.array(box, dtype=np.float64).T for box in self.boxes]
             boxes = tuple(Body.box(transform(np.eye(3), (low + high) / 2), high - low) for low, high in sides)
             good &= self.shapes.clear(boxes, () if cell is None else cell.faces, joints, tips)
+            good &= self.shapes.above(-math.inf if cell is None else cell.table, joints)
         if not self.boxes and self.link_radius is None:
             return good
         nodes = nodes_of(robot, joints)

@@ -158,6 +158,14 @@ class LinkShapes(Value):
             good &= gap(placed[one], placed[other]) > FREE
         return good
 
+    def above(self, table: float, joints: Array) -> NDArray[np.bool_]:
+        """Which postures (N, n; rad, mm) hold all shapes beyond the first moving link above a table (height in mm)."""
+        good = np.ones(len(joints), dtype=bool)
+        for shape, body in zip(self.shapes, self.at(joints), strict=True):
+            if shape.carrier > 0:
+                good &= body.corners[..., 2].min(axis=1) - body.radius >= table
+        return good
+
     def at(self, joints: Array) -> list[Body]:
         """Each shape in postures (N, n; rad, mm), in the base frame."""
         flat = np.array(self._motions.map(len(joints))(joints.T))  # (4, 4 n N): of each posture, of each link

@@ -16,7 +16,7 @@ from casacal.errors import CasacalError, SamplesError
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import joint_units
 from casacal.robots.robot import Robot
-from casacal.samples.layout import Layout, numeric_columns
+from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
 from casacal.samples.write import WRITTEN, samples_text
 from casacal.tables.read import read_columns
@@ -77,7 +77,7 @@ def read_route(path: str | Path, layout: Layout) -> Route:
     layout: of the problem's samples. Raises SamplesError.
     """
     expected = Layout(layout.joints, {EXPECTED + name: kind for name, kind in layout.columns.items()}, layout.labels)
-    columns = read_columns(path, lambda header: numeric_columns(header, expected), layout.labels)
+    columns = read_columns(path)
     measured = [name for name in columns.header if name.rpartition("_")[0] in layout.columns]
     if layout.columns and measured and not any(name.startswith(EXPECTED) for name in columns.header):
         fix = "Give what casacal plan wrote; its readings are called expected_..."

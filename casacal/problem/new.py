@@ -32,8 +32,9 @@ Made by `casacal new`; edit it as you like.
 - Lines of problem.py marked TO FILL IN hold assumptions: where the tool's tip is, which way the dial counts and
   how far, how accurate the maker says the arm is.
 - Limits: those of the file{limits}. The simulated cell uses them.
-- Cell: none is defined, so `casacal simulate` looks for three faces in reach: at right angles, or, for an arm that
-  cannot tilt its tool, such as a SCARA, each inclined another way. problem.py may define one of your own.
+- Cell: none is defined, so `casacal simulate` and `casacal plan` look for three faces in reach, in front of the base
+  and above its plane (`--table Z` where the arm stands higher): at right angles, or, for an arm that cannot tilt its
+  tool, such as a SCARA, each inclined another way. problem.py may define one of your own.
 
 What such touches could tell, before anyone moves the arm, and what they do tell:
 

@@ -115,7 +115,7 @@ class Samples(Value):
 
         Raises SamplesError that names file, line, column, what is wrong and the fix.
         """
-        columns = read_columns(path, lambda header: numeric_columns(header, layout), layout.labels)
+        columns = read_columns(path)
         return Samples.from_columns(columns, layout, absurd=absurd)
 
     @staticmethod

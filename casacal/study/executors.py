@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import os
 import pickle
@@ -10,6 +11,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache, partial
 from pathlib import Path
@@ -26,7 +28,7 @@ from casacal.threads import one_thread_each
 Asked = TypeVar("Asked")
 Outcome = TypeVar("Outcome")
 
-CONNECT_SECONDS = 10
+CONNECT_SECONDS, CLOSE_SECONDS = 10, 5
 
 
 _ONE_AT_A_TIME = threading.Lock()
@@ -145,12 +147,19 @@ def on_cluster(function: Callable[[Asked], Outcome], tasks: Sequence[Asked], add
     except (OSError, ValueError) as error:
         said = " ".join(str(error).split()) or type(error).__name__
         raise StudyError(f"No Dask scheduler answers at '{address}' ({said})", "Start one: dask scheduler") from None
-    with client:
-        futures = client.map(function, list(tasks), pure=False)
-        try:
-            for _, outcome in as_completed(futures, loop=client.loop, with_results=True):
-                yield outcome
-        except KilledWorker as error:
-            raise StudyError(f"The cluster lost its workers ({error})", "Run again with --resume") from None
-        finally:
+    futures = client.map(function, list(tasks), pure=False)
+    log = logging.getLogger("distributed.client")  # tells in tracebacks what is said here in a sentence
+    silent, log.disabled = log.disabled, True
+    try:
+        for _, outcome in as_completed(futures, loop=client.loop, with_results=True):
+            if isinstance(outcome, BaseException):  # what a client gives for futures whose scheduler is gone
+                what = f"The scheduler at '{address}' was lost"
+                raise StudyError(what, "Start it and its workers again, and run again with --resume")
+            yield outcome
+    except KilledWorker as error:
+        raise StudyError(f"The cluster lost its workers ({error})", "Run again with --resume") from None
+    finally:
+        with suppress(Exception):  # a scheduler that is gone cannot be told
             client.cancel(futures)
+            client.close(timeout=CLOSE_SECONDS)
+        log.disabled = silent

@@ -97,7 +97,7 @@ def appending(path: Path) -> Iterator[Appender]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if not path.is_file() and _packed(path).is_file():
-            place_whole(path, lambda place: place.write_bytes(_content_of(path)))
+            place_whole(path, lambda place: place.write_bytes(_content_of(path)), own=True)
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o644)
     except OSError as error:
         raise StudyError(f"'{path}' cannot be written ({error.strerror})", "Choose another folder") from error
@@ -133,7 +133,7 @@ class Appender:
         """Put other records in place of all, at once; where an open file cannot be replaced, over them."""
         data = "".join(to_line(record) for record in records)
         if os.name != "nt":
-            write_text(self._path, data)
+            write_text(self._path, data, own=True)
             return
         os.ftruncate(self._handle, 0)
         os.write(self._handle, data.encode())

@@ -104,7 +104,6 @@ class Columns:
 
     header_line: where a text file has its header, 0 for arrays. lines: of each row in its file; for arrays its row,
     counted from 1. texts: all columns as they were written, for rows that were read cell by cell; none otherwise.
-    written: one cell of a column and row as it was written, where the file is asked again.
     """
 
     file: str
@@ -115,12 +114,9 @@ class Columns:
     number: Callable[[str], Array]
     text: Callable[[str], Labels]
     texts: Callable[[], Mapping[str, tuple[str, ...]]] = dict
-    written: Callable[[str, int], str] | None = None
 
     def cell(self, name: str, row: int) -> str:
         """One cell as it was written, or where nobody keeps that, its number."""
-        if self.written is not None:
-            return self.written(name, row)
         texts = self.texts()
         return texts[name][row] if name in texts else f"{self.number(name)[row]:g}"
 

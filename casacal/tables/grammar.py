@@ -10,7 +10,6 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
 from casacal.errors import SamplesError
 from casacal.wording import counted
@@ -162,13 +161,3 @@ def refuse_rows_set_aside(
                 'Rename its label, or in a CSV file quote it, as in "#1"; delete a comment, or put it above the header'
             )
             raise SamplesError(file, what, fix, line=number)
-
-
-def rows_begin_with_text(path: Path, header_line: int, delimiter: str) -> bool:
-    """Whether any row of a UTF-8 file may begin with anything but a number; raises OSError, UnicodeDecodeError."""
-    with path.open(encoding="utf-8-sig", newline="\n") as file:
-        for number, text in enumerate(file, 1):
-            cell = text.split(delimiter, 1)[0].strip()
-            if number > header_line and not is_number(cell) and not cell.startswith("#") and text.strip():
-                return True  # a quote is as good as a letter: what it holds is for others to find out
-    return False

@@ -132,6 +132,7 @@ def _scatter(powers: Array, noise: Array) -> PriorScatter:
     if not np.isfinite(powers).all():  # a residual that is none at the drawn arm: nothing is known of it
         return PriorScatter(np.array([math.nan]), np.ones(1))
     own = np.clip(np.linalg.eigvalsh(powers), 0.0, None)
-    mean, spread = float((noise**2).mean()), float((noise**4).mean())
+    largest = float(noise.max())  # in units of it, so that no square overflows
+    mean, spread = float(((noise / largest) ** 2).mean()), float(((noise / largest) ** 4).mean())
     freedom = len(noise) * mean**2 / spread  # two moments of what the noise of all rows adds are matched
-    return PriorScatter(np.append(own, mean / freedom), np.append(np.ones(len(own)), freedom))
+    return PriorScatter(np.append(own, mean / freedom * largest * largest), np.append(np.ones(len(own)), freedom))
