@@ -9,10 +9,12 @@ import pytest
 from conftest import ROOT
 from planned_arms import ARMS
 
-from casacal import CasacalError, Cell, Face, SimulationError, corner, load_problem, plan
+from casacal import CasacalError, Cell, Face, Parameter, Robot, SimulationError, chain, corner, load_problem, plan
 from casacal.cli.main import main
+from casacal.kinematics import translate_x
 from casacal.planning.clearance import Clearance
 from casacal.problem.cell import Disturbances
+from casacal.robots.links import above_table
 from casacal.simulation.touches import default_cell
 
 BY_NAME = {arm.name: arm for arm in ARMS}
@@ -141,3 +143,16 @@ def test_links_that_were_looked_at_are_not_said_to_be_unchecked(folders, tmp_pat
     source = load_problem(folders["IRB 120"])
     made = plan(source.problem, clearance=Clearance(link_radius=40.0), touches=20, pool=60, starts=1)
     assert made.cell.faces == default_cell(source.problem).faces
+
+
+def test_the_tip_is_asked_as_well_as_the_joints_also_of_an_arm_that_is_no_chain(folders):
+    robot = load_problem(folders["UR5"]).problem.robot
+    up, down = np.radians([[0, -90, 0, -90, 0, 0], [0, 60, 0, -90, 0, 0]])
+    tips = np.array([[0.0, 0.0, 5.0], [0.0, 0.0, -5.0]])
+    stands = above_table(robot, 0.0)
+    assert [bool(stands(q[None], tip[None])[0]) for q in (up, down) for tip in tips] == [True, False, False, False]
+    assert above_table(robot, -1e4)(np.array([up, down]), tips).all()
+    odd = Robot(
+        "odd", joints=2, pose=lambda p, q: chain(translate_x(p.l * q[0] * q[1])), parameters={"l": Parameter(9.0)}
+    )
+    assert above_table(odd, 0.0)(np.zeros((2, 2)), tips).tolist() == [True, False]

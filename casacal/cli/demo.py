@@ -12,7 +12,8 @@ from casacal.errors import CasacalError
 
 HELP = "goes the whole way with a simulated arm"
 
-SHEET = """# name: UR5
+SHEET = """# written by casacal demo
+# name: UR5
 # convention: standard
 joint,alpha_deg,a_mm,d_mm,theta_deg,lower_deg,upper_deg
 1,90,0,89.159,0,-180,180
@@ -24,7 +25,8 @@ joint,alpha_deg,a_mm,d_mm,theta_deg,lower_deg,upper_deg
 """
 """DH table of the UR5, as Universal Robots publish it."""
 
-TARGETS = """q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg
+TARGETS = """# written by casacal demo
+q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg
 30,-70,80,-100,-90,0
 45,-80,95,-105,-90,15
 """

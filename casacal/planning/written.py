@@ -64,8 +64,8 @@ def told(
     ]
     if compared and every:
         said.append(
-            f"Set-ups, each with {fitted} fitted touches of {POOL} candidates, with nothing to keep clear of and none "
-            f"made before; so these figures compare with one another, not with the plan above, chosen of {pool}:"
+            f"Set-ups, each with {fitted} fitted touches of {POOL} candidates, with the table alone to clear, and "
+            f"none made before; so these figures compare with one another, not with the plan above, chosen of {pool}:"
         )
     for each in compared if every else ():
         reach = "this arm cannot touch it" if math.isinf(each.error) else f"{each.error:.3g} mm"
