@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from difflib import get_close_matches
 
@@ -21,12 +22,20 @@ def said(error: BaseException) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split()).rstrip('.') or 'no message'}"
 
 
+UNSHOWN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+
+
+def harmless(text: str) -> str:
+    """A text in which what would act on a terminal, or turn its letters round, is a question mark."""
+    return UNSHOWN.sub("?", text)
+
+
 class CasacalError(Exception):
     """A refusal in one sentence or two; the command line prints it on one line and exits with 2."""
 
     def __init__(self, what: str, fix: str) -> None:
-        # what came may be as long as a file
-        self.what, self.fix = (text if len(text) <= LONGEST else f"{text[: LONGEST - 4]} ..." for text in (what, fix))
+        shown = (harmless(text) for text in (what, fix))  # what came may be as long as a file
+        self.what, self.fix = (text if len(text) <= LONGEST else f"{text[: LONGEST - 4]} ..." for text in shown)
         super().__init__(f"{self.what}. {self.fix}.")
 
     def __reduce__(self) -> tuple[type[CasacalError], tuple[str, str]]:

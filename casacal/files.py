@@ -23,16 +23,20 @@ from typing import Any
 import numpy as np
 
 from casacal.errors import CasacalError
-from casacal.values import EMPTY
 from casacal.version import __version__
 
-MADE = "written by casacal"
-"""What every file that casacal writes says of itself, in its first or last `LOOKED_AT` bytes."""
+MADE = f"written by casacal {__version__}"
+"""What every file that casacal writes says of itself: in a comment near its beginning or at its end, or as follows."""
 
-MARKS = re.compile(
-    rb'written by casacal|[#!;] (planned|simulated) by casacal|Software\x00casacal|"written_by": "casacal'
-)
 BY, LOOKED_AT = "written_by", 8192
+MARKS = re.compile(
+    rb"(?m)^[ \t]*(?:#|[!;*]|//|<!--) ?(?:[^\n]*[ (])?written by casacal (?:\d|compensate:|demo|study|bench|for )"
+    rb"|^[ \t]*[#!;] (?:planned|simulated) by casacal "
+    rb'|\A\s*\{\s*"written_by": "casacal |<meta name="generator" content="written by casacal">'
+    rb"|\A\x89PNG[^\n]*\n[\s\S]*Software\x00casacal "
+)
+MEASURED = re.compile(rb"# measured by casacal|(?m:^[^#\n]*order,touch,purpose,kept)")
+FILLED_IN = re.compile(rb"(?m)^(?:[^#\n]*[,;\t])?reading_")  # a plan into which somebody wrote readings
 
 
 def refuse_others(path: str | Path, *, option: str = "--out") -> None:
@@ -46,11 +50,11 @@ def refuse_others(path: str | Path, *, option: str = "--out") -> None:
             file.seek(max(target.stat().st_size - LOOKED_AT, 0))
             ends = head + b"\n" + file.read()
     except OSError as error:
-        raise CasacalError(
-            f"'{target}' exists and cannot be read ({error.strerror})", f"Name another {option}"
-        ) from error
-    what = "holds measured rows" if b"# measured by casacal" in head else "was not written by casacal"
-    if head and (not MARKS.search(ends) or what == "holds measured rows"):
+        what = f"'{target}' exists and cannot be read ({error.strerror})"
+        raise CasacalError(what, f"Name another {option}") from error
+    measured = MEASURED.search(head) or (b" planned by casacal " in head and FILLED_IN.search(head))
+    if measured or (head and not MARKS.search(ends)):
+        what = "holds measured rows" if measured else "was not written by casacal"
         raise CasacalError(f"'{target}' exists and {what}", f"Name another {option}, or remove it first")
 
 
@@ -176,7 +180,6 @@ def together(
     names: Sequence[str],
     *,
     asked: Path | None = None,
-    elsewhere: Mapping[str, Path] = EMPTY,
     own: bool = False,
 ) -> Iterator[Path]:
     """A place for files that all take their places in a folder at the end, or none of them.
@@ -189,7 +192,6 @@ def together(
         folder: made where it does not exist; removed again if it was made and nothing came of it.
         names: files that may be made, in the order in which they are placed.
         asked: what a refusal names; by default the folder.
-        elsewhere: where some of them go that do not go into the folder.
         own: as for `write_text`.
 
     Raises CasacalError when the folder cannot be written, or another run is writing into it, or a file there was not
@@ -197,19 +199,18 @@ def together(
 
     """
     made = not folder.exists()
-    targets = {name: elsewhere.get(name, folder / name) for name in names}
     try:
         with writable(asked or folder):
             folder.mkdir(parents=True, exist_ok=True)
             with _locked(folder):
                 sweep(folder, PREFIX)
                 _finish(folder)
-                for target in () if own else targets.values():
-                    refuse_others(target)
+                for name in () if own else names:
+                    refuse_others(folder / name)
                 place = Path(tempfile.mkdtemp(dir=folder, prefix=f"{PREFIX}{mark_of_this_run()}-"))
                 try:
                     yield place
-                    _place(folder, place, targets, own)
+                    _place(folder, place, names, own)
                 finally:
                     shutil.rmtree(place, ignore_errors=True)
     finally:
@@ -227,17 +228,15 @@ def side_by_side(targets: Sequence[Path]) -> Iterator[list[Path]]:
 
 
 READY, LIST = ".casacal.ready-", ".list"
-"""What the name of a folder begins with whose files are whole and take their places, and its list of them."""
+"""What the name of a folder begins with whose files are whole and take their places beside it, and its list of them."""
 
 
-def _place(folder: Path, place: Path, targets: Mapping[str, Path], own: bool) -> None:
+def _place(folder: Path, place: Path, names: Sequence[str], own: bool) -> None:
     """Put files where they belong; a link's target is written, not the link."""
-    ends = {name: Path(os.path.realpath(target)) for name, target in targets.items()}
-    for target in ends.values():
-        if target.exists() and not target.is_file():
-            raise CasacalError(f"'{target}' is no file", "Name another folder for the answer, or remove it")
-        target.parent.mkdir(parents=True, exist_ok=True)
-    rows = [(name, str(target), (place / name).exists()) for name, target in ends.items()]
+    for name in names:
+        if (folder / name).exists() and not (folder / name).is_file():
+            raise CasacalError(f"'{folder / name}' is no file", "Name another folder for the answer, or remove it")
+    rows = [(name, (place / name).exists()) for name in names]
     (place / LIST).write_text(json.dumps({"files": rows, "own": own}), encoding="utf-8")
     with _undisturbed():
         os.rename(place, folder / f"{READY}{secrets.token_hex(4)}")  # from here on the new files are those that count
@@ -245,27 +244,44 @@ def _place(folder: Path, place: Path, targets: Mapping[str, Path], own: bool) ->
 
 
 def _finish(folder: Path) -> None:
-    """Put files that are ready in their places, where a run was ended on the way."""
+    """Put files that are ready in their places, where a run was ended on the way.
+
+    Only beside their folder, and never over what somebody put there meanwhile: CasacalError says so.
+    """
     for ready in folder.glob(f"{READY}*"):
         if not (ready / LIST).exists():  # all are placed, and it was being removed
-            shutil.rmtree(ready, ignore_errors=True)
+            with suppress(OSError):
+                ready.rmdir()
             continue
-        listed = json.loads((ready / LIST).read_text(encoding="utf-8"))
-        rows = [(ready / name, Path(target), made) for name, target, made in listed["files"]]
-        last, answer, _ = rows[-1]
-        if last.exists() and len(rows) > 1 and not listed["own"]:
-            answer.unlink(missing_ok=True)
-        for source, target, made in rows:
+        try:
+            listed = json.loads((ready / LIST).read_text(encoding="utf-8"))
+            own, rows = listed["own"] is True, [(str(name), made is True) for name, made in listed["files"]]
+            sound = bool(rows) and all(Path(name).name == name for name, _ in rows)
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+            sound = False
+        if not sound:  # of somebody else
+            continue
+        ends = {name: Path(os.path.realpath(folder / name)) for name, _ in rows}
+        for target in ends.values():
+            if not own:
+                refuse_others(target)
+            elif target.exists() and not target.read_bytes()[:LOOKED_AT].startswith(b"# measured by casacal"):
+                fix = f"Move it away, or remove '{ready}', which holds what should be there"
+                raise CasacalError(f"'{target}' was put in the place of measured rows", fix)
+        last = rows[-1][0]
+        if (ready / last).exists() and len(rows) > 1 and not own:
+            ends[last].unlink(missing_ok=True)
+        for name, made in rows:
             if not made:
-                target.unlink(missing_ok=True)
-            elif source.exists():
-                shutil.move(source, target)  # which copies where a link leads to another disk
+                ends[name].unlink(missing_ok=True)
+            elif (ready / name).exists():
+                shutil.move(ready / name, ends[name])  # which copies where a link leads to another disk
         shutil.rmtree(ready, ignore_errors=True)
 
 
 def recover(folder: Path) -> None:
     """Put a set of files in their places whose run was killed on the way, if there is one in a folder."""
-    with suppress(OSError, ValueError, KeyError, CasacalError):  # not ours to write, or another run is at it
+    with suppress(OSError, CasacalError):  # not ours to write, another run is at it, or somebody was there meanwhile
         if any(folder.glob(f"{READY}*")):
             with _locked(folder), _undisturbed():
                 _finish(folder)

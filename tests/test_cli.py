@@ -418,7 +418,7 @@ def test_a_file_that_cannot_be_completed_leaves_the_old_one(tmp_path, monkeypatc
     from casacal import files
 
     target = tmp_path / "result.json"
-    target.write_text("old, written by casacal")
+    target.write_text("# written by casacal 0.1.0, old")
 
     def fail(*_):
         raise OSError(28, "No space left on device")
@@ -426,7 +426,7 @@ def test_a_file_that_cannot_be_completed_leaves_the_old_one(tmp_path, monkeypatc
     monkeypatch.setattr(os, "replace", fail)
     with pytest.raises(casacal.CasacalError, match="No space"):
         files.write_text(target, "new")
-    assert target.read_text() == "old, written by casacal"
+    assert target.read_text() == "# written by casacal 0.1.0, old"
     assert list(tmp_path.iterdir()) == [target]
 
 

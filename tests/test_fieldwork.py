@@ -261,7 +261,7 @@ def test_programs_hold_the_plan(hsr, small, language, pattern, stop):
         straight = [ways.above[k], small.samples.joints[k], ways.above[k]]
         expected += straight if np.isnan(ways.via[k]).any() else [ways.via[k], *straight]
     assert joints == pytest.approx(np.array(expected), abs=2e-6)
-    assert text.count(stop) == len(small) + int((~ways.clear).sum())
+    assert text.count(stop) == 1 + len(small) + int((~ways.clear).sum()), "also before the first move"
     assert all(line.strip()[0] in "!;#" for line in text.splitlines() if "an arm" in line)
     blocked = program_text(hsr.problem, small, replace(ways, clear=ways.clear & False), language, "an arm")
     assert blocked.count("no clear way to touch") == len(small)

@@ -412,6 +412,16 @@ def test_a_gauge_at_a_serial_line(planned, tmp_path):
     os.close(ours)
 
 
+def heard(inbox):
+    """What comes next; a test fails rather than waits where nothing does."""
+    found = []
+    waiting = threading.Thread(target=lambda: found.append(inbox.next()), daemon=True)
+    waiting.start()
+    waiting.join(5)
+    assert not waiting.is_alive(), "nothing came"
+    return found[0]
+
+
 class Clock:
     """A time that stands still until it is moved on."""
 
@@ -426,7 +436,7 @@ def test_a_line_of_the_gauge_counts_once_it_is_asked_for_and_after_silence():
     inbox = Inbox(now=clock)
     inbox.send("1.0")  # before anybody asked
     inbox.prompted()
-    note = inbox.next()
+    note = heard(inbox)
     assert note.source == "note"
     assert note.text.startswith("Not taken: 1.0, which the gauge sent before it was asked for")
     clock.now += QUIET
@@ -434,20 +444,20 @@ def test_a_line_of_the_gauge_counts_once_it_is_asked_for_and_after_silence():
     clock.now += HOLD / 2
     inbox.send("2.0")  # the button pressed twice
     clock.now += HOLD
-    assert inbox.next() == Entry("2.0", "sent"), "the first one counts"
-    assert inbox.next().text.startswith("Not taken: 2.0"), "the second does not"
+    assert heard(inbox) == Entry("2.0", "sent"), "the first one counts"
+    assert heard(inbox).text.startswith("Not taken: 2.0"), "the second does not"
     inbox.prompted()
     clock.now += QUIET - 0.01 - HOLD
     inbox.send("3.0")
-    note = inbox.next()
+    note = heard(inbox)
     assert note.source == "note"
     assert "3.0, which the gauge sent 2.0 s after another line" in note.text
     inbox.send("3.1")  # said once for each prompt
     inbox.type("5.5\n")
-    assert inbox.next() == Entry("5.5\n")
+    assert heard(inbox) == Entry("5.5\n")
     inbox.take_next()
     inbox.send("3.2")
-    assert inbox.next() == Entry("3.2", "sent"), "what Enter asked for, at once"
+    assert heard(inbox) == Entry("3.2", "sent"), "what Enter asked for, at once"
 
 
 @pytest.mark.parametrize("period", [0.01, HOLD / 3, QUIET / 2])
@@ -460,13 +470,40 @@ def test_a_stream_fills_no_touch_and_the_keyboard_comes_first(period):
         for _ in range(1000):
             clock.now += period
             inbox.send("7.1")
+        inbox.take_next()
+        inbox.send("7.15")
         inbox.type("u\n")
-        assert inbox.next() == Entry("u\n"), "the keyboard comes first"
-        assert inbox.next().source == "note", touch
+        assert heard(inbox) == Entry("u\n"), "the keyboard comes first"
+        assert heard(inbox) == Entry("7.15", "sent")
+        assert heard(inbox).source == "note", touch
         inbox.take_next()
         inbox.send("7.2")
         inbox.send("7.3")
-        assert inbox.next() == Entry("7.2", "sent"), "what Enter asked for"
+        assert heard(inbox) == Entry("7.2", "sent"), "what Enter asked for"
+
+
+def test_a_slow_stream_is_noticed_at_its_third_line():
+    """Sent by the clock, every few seconds, whatever it shows; a hand is never so even."""
+    clock, taken = Clock(), []
+    inbox = Inbox(now=clock)
+    inbox.prompted()
+    for k in range(20):
+        clock.now += 5.0 + 0.01 * (k % 3)
+        inbox.send(f"{k}")
+        clock.now += 2 * HOLD
+        inbox.type("wake\n")
+        if heard(inbox) == Entry("wake\n") and inbox._sent is not None:
+            taken.append(heard(inbox).text)
+            inbox.prompted()
+    assert taken == ["0", "1"]
+    for pause in (3.0, 4.1, 2.2, 6.0):  # a hand
+        clock.now += pause
+        inbox.prompted()
+        inbox.send("8.8")
+        clock.now += 2 * HOLD
+        while (entry := heard(inbox)).source == "note":
+            pass
+        assert entry == Entry("8.8", "sent"), pause
 
 
 @pytest.mark.parametrize("period", [0.001, HOLD / 3])
@@ -477,11 +514,11 @@ def test_the_first_lines_of_a_stream_are_no_reading(period):
     for _ in range(1000):
         inbox.send("7.1")
         clock.now += period
-    note = inbox.next()
+    note = heard(inbox)
     assert note.source == "note"
     assert "s after another line" in note.text
     inbox.type(None)
-    assert inbox.next() is None
+    assert heard(inbox) is None
 
 
 @pytest.mark.parametrize("line", ["u", "q", "k", "undo", "c 1", "h", "?", "1 2 3 4 5 6 3.2", "3.2 wall", "", "x"])

@@ -95,7 +95,7 @@ def test_a_run_that_is_stopped_leaves_files_of_one_run(kind, tmp_path):
 
 
 def test_all_files_take_their_places_or_none(tmp_path):
-    old = "old, written by casacal"
+    old = "# written by casacal 0.1.0, old"
     (tmp_path / "a").write_text(old)
     (tmp_path / "mine").write_text("mine")
     with pytest.raises(CasacalError, match="No space left"):
@@ -276,7 +276,7 @@ def test_leftovers_of_runs_that_ended_are_swept_and_others_are_not(tmp_path):
 def test_modes_are_the_users_and_links_are_followed(tmp_path):
     before = os.umask(0o027)
     try:
-        write_text(tmp_path / "new.csv", "1, written by casacal")
+        write_text(tmp_path / "new.csv", "# written by casacal 0.1.0, 1")
         write_set(tmp_path / "set")
     finally:
         os.umask(before)
@@ -288,7 +288,7 @@ def test_modes_are_the_users_and_links_are_followed(tmp_path):
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "set" / "a").unlink()
     (tmp_path / "set" / "a").symlink_to(tmp_path / "elsewhere" / "real")
-    (tmp_path / "elsewhere" / "real").write_text("old, written by casacal")
+    (tmp_path / "elsewhere" / "real").write_text("# written by casacal 0.1.0, old")
     write_set(tmp_path / "set")
     assert (tmp_path / "set" / "a").is_symlink()
     assert (tmp_path / "elsewhere" / "real").read_text() == "a"
@@ -351,7 +351,9 @@ def test_nothing_is_written_over_what_is_read(typed, result, tmp_path, monkeypat
 
 def test_what_casacal_planned_or_simulated_may_be_written_over(result, tmp_path):
     assert main(["simulate", str(HSR), "--out", str(tmp_path / "s.csv"), "--samples", "40"]) == 0
-    plan = f"# planned by casacal for p: not a measurement\n{(tmp_path / 'mine.csv').read_text()}"
+    plan = f"# planned by casacal for p: not a measurement\n{(tmp_path / 'mine.csv').read_text()}".replace(
+        "reading_mm", "expected_reading_mm"
+    )
     (tmp_path / "plan.csv").write_text(plan)
     for name in ("s.csv", "plan.csv"):
         assert main(["predict", str(result), str(tmp_path / "q.csv"), "--out", str(tmp_path / name)]) == 0

@@ -2,6 +2,9 @@
 
 import json
 import math
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pandas as pd
@@ -156,3 +159,51 @@ def test_the_tip_is_asked_as_well_as_the_joints_also_of_an_arm_that_is_no_chain(
         "odd", joints=2, pose=lambda p, q: chain(translate_x(p.l * q[0] * q[1])), parameters={"l": Parameter(9.0)}
     )
     assert above_table(odd, 0.0)(np.zeros((2, 2)), tips).tolist() == [True, False]
+
+
+def test_touches_that_were_made_elsewhere_are_refused_not_planned_on(folders, tmp_path, capsys):
+    """With the table forgotten, new touches would hang 400 mm above the plate, and the promise would be absurd."""
+    problem, plan_file, rows = str(folders["UR5"]), str(tmp_path / "p.csv"), str(tmp_path / "s.csv")
+    common = ["--touches", "60", "--pool", "200"]
+    assert main(["plan", problem, "--table=-400", "--out", plan_file, *common]) == 0
+    assert "casacal measure" in (said := capsys.readouterr().out)
+    assert "--table=-400" in said
+    assert main(["measure", problem, "--plan", plan_file, "--out", str(tmp_path / "m.csv")]) == 2
+    assert "planned with the table at z = -400 mm, and here it is at 0 mm" in capsys.readouterr().err
+    assert main(["simulate", problem, "--plan", plan_file, "--out", rows]) == 2
+    assert "Give --table=-400" in capsys.readouterr().err
+    assert main(["simulate", problem, "--table=-400", "--plan", plan_file, "--out", rows]) == 0
+    again = ["plan", problem, "--after", rows, "--out", str(tmp_path / "q.csv"), "--touches", "12", "--pool", "60"]
+    assert main(again) == 2
+    assert "lie 400 mm from where the cell has that face" in capsys.readouterr().err.replace("401", "400").replace(
+        "399", "400"
+    )
+    assert main([*again, "--table=-400"]) == 0
+
+
+@pytest.mark.parametrize("typed", [["--table", "-inf"], ["--table", "-1e2"], ["--table=-1e9"]])
+def test_heights_below_zero_may_be_typed(folders, tmp_path, typed):
+    common = ["--out", str(tmp_path / "p.csv"), "--touches", "12", "--pool", "60"]
+    assert main(["plan", str(folders["UR5"]), *common, *typed]) == 0
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        (["--link-radius", "0.05", "--out", "p.csv"], "0.05 m are 50"),
+        (["--out", "p.xlsx"], "would not be a .xlsx file"),
+    ],
+)
+def test_slips_of_a_hurried_user_are_said(folders, tmp_path, monkeypatch, capsys, typed, said):
+    monkeypatch.chdir(tmp_path)
+    assert main(["plan", str(folders["UR5"]), "--touches", "12", "--pool", "60", *typed]) == 2
+    assert said in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(os.name == "nt", reason="devices of POSIX")
+def test_a_plan_goes_into_a_pipe(folders, tmp_path):
+    typed = [sys.executable, "-m", "casacal", "plan", str(folders["UR5"]), "--touches", "12", "--pool", "60"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    ran = subprocess.run([*typed, "--out", "/dev/stdout"], capture_output=True, text=True, env=environment, check=True)
+    assert ran.stdout.startswith("# planned by casacal for UR5: not a measurement\n# table at z = 0 mm\n")

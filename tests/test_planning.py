@@ -245,12 +245,12 @@ def test_the_command_line_plans(tmp_path, capsys):
     assert "20 touches: 16 to fit, 1 of them once more, 3 kept to verify" in told
     lines = out.read_text().splitlines()
     assert lines[0].endswith("not a measurement")
-    assert [line.split(":")[0] for line in lines[2:6]] == [
+    assert [line.split(":")[0] for line in lines[3:7]] == [
         "# Collisions not checked",
         *(f"# Face {each}" for each in ("floor", "wall", "side")),
     ]
-    assert lines[9] == "touch,purpose,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,expected_reading_mm,plane"
-    assert len(lines) == 30
+    assert lines[10] == "touch,purpose,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,expected_reading_mm,plane"
+    assert len(lines) == 31
     source = load_problem(HSR)
     assert out.read_text() == plan_text(
         plan(source.problem, source.cell, touches=20, pool=80), source.problem, source.name

@@ -1,5 +1,6 @@
 """What casacal writes bears its mark, what others wrote stays, and sets of files are old or new after any kill."""
 
+import io
 import json
 import os
 import shutil
@@ -54,8 +55,34 @@ OTHERS = {
     "prose": b"To be calibrated by casacal on Monday.\n",
     "json": b'{"mine": 1}',
     "program": b"print('mine')\n",
+    "no": b"# not written by casacal but by Ann\na,b\n1,2\n",
+    "a cell": b"who,what\nAnn,this was written by casacal 0.1.0\n",
+    "inside": b'{"mine": {"written_by": "casacal 0.1.0"}}',
+    "page": b"<html><p>the report written by casacal 0.1.0 is elsewhere</p></html>",
+    "measured and marked": b"# measured by casacal: hsr, plan 0\n# written by casacal 0.1.0\nq1_deg,reading_mm\n1,2\n",
+    "measured by another name": b"# planned by casacal for x\nq1_deg,x_mm,order,touch,purpose,kept\n1,2,1,1,fit,-\n",
+    "a plan that was filled in": b"# planned by casacal for x: not a measurement\nq1_deg,reading_mm,plane\n1,2,floor\n",
     "picture": b"\x89PNG\r\n\x1a\n mine",
 }
+
+
+MEASURED = ("measured", "measured and marked", "measured by another name", "a plan that was filled in")
+
+
+@pytest.mark.parametrize("kind", OTHERS)
+@pytest.mark.parametrize("name", ["x.csv", "x_check.csv"])
+def test_a_session_begins_in_no_file_of_others(place, tmp_path, monkeypatch, capsys, kind, name):
+    """Neither cut where it has no last line end, nor written anew in another encoding, nor removed."""
+    monkeypatch.chdir(tmp_path)
+    plan = str(place / "plan.csv")
+    if not (place / "plan.csv").exists():
+        assert main(["plan", str(HSR), "--touches", "12", "--pool", "40", "--out", plan]) == 0
+    for content in (OTHERS[kind], OTHERS[kind].rstrip(b"\n"), OTHERS[kind] + b"\x00\xff\xfe cut"):
+        (tmp_path / name).write_bytes(content)
+        monkeypatch.setattr(sys, "stdin", io.StringIO("3.2\nq\n"))
+        assert main(["measure", str(HSR), "--plan", plan, "--out", "x.csv"]) == 2
+        assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {name: content}
+    capsys.readouterr()
 
 
 @pytest.mark.parametrize("writer", WRITERS)
@@ -69,7 +96,7 @@ def test_a_command_writes_over_its_own_files_and_over_nobody_elses(place, tmp_pa
         there = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
         assert main(typed) == 2, kind
         said = capsys.readouterr().err
-        assert "'x.csv' exists and " + ("holds measured rows" if kind == "measured" else "was not written by") in said
+        assert "'x.csv' exists and " + ("holds measured rows" if kind in MEASURED else "was not written by") in said
         assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == there
     (tmp_path / "x.csv").write_bytes(b"")  # an empty file holds nothing
     for _ in range(2):
@@ -128,38 +155,99 @@ def watched(function):
 for name in ("rename", "replace", "unlink", "rmdir"):
     setattr(os, name, watched(getattr(os, name)))
 shutil.move = watched(shutil.move)
-folder = Path(asked)
-with files.together(folder, ["a", "b", "gone", "last"], elsewhere={"b": folder / "other" / "b"}, own=True) as place:
+folder, own = Path(asked), sys.argv[3] == "own"
+with files.together(folder, ["a", "b", "gone", "last"], own=own) as place:
     for name in ("a", "b", "last"):
-        (place / name).write_text("new")
+        (place / name).write_text((folder / "a").read_text().replace("old", "new"))
 """
 
 
 @pytest.mark.skipif(os.name == "nt", reason="folders that are locked")
-def test_a_set_is_old_or_new_after_a_kill_at_any_moment(tmp_path):
+@pytest.mark.parametrize("own", ["own", "marked"])
+def test_a_set_is_old_or_new_after_a_kill_at_any_moment(tmp_path, own):
     """The writer is ended before and after each change of a name, until none is left at which it could be."""
-    names, seen = ("a", "other/b", "gone", "last"), set()
+    names, seen = ("a", "b", "gone", "last"), set()
+    head = "# measured by casacal: p" if own == "own" else "# written by casacal 0.1.0"
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     for step in range(1, 60):
         folder = tmp_path / str(step)
-        (folder / "other").mkdir(parents=True)
+        folder.mkdir()
         for name in names:
-            (folder / name).write_text("old")
-        ended = subprocess.run([sys.executable, "-c", KILLED, str(folder), str(step)], env=environment, check=False)
-        before = {name: (folder / name).read_text() for name in names if (folder / name).exists()}
-        assert set(before) >= {"a", "other/b", "last"}, "at no moment is any of them lost"
+            (folder / name).write_text(f"{head}, old\n")
+        typed = [sys.executable, "-c", KILLED, str(folder), str(step), own]
+        ended = subprocess.run(typed, env=environment, check=False)
+        if own == "own":
+            assert all((folder / name).exists() for name in ("a", "b", "last")), "at no moment is any of them lost"
+        if step % 3 == 0:  # also where the folder was moved meanwhile
+            folder = folder.rename(tmp_path / f"moved {step}")
         recover(folder)
         after = {name: (folder / name).read_text() for name in names if (folder / name).exists()}
-        assert after in (dict.fromkeys(names, "old"), dict.fromkeys(("a", "other/b", "last"), "new")), step
-        seen.add(tuple(sorted(set(after.values()))))
-        with together(folder, ["a"], own=True):  # sweeps what the killed one left, and takes the old file away
+        new = dict.fromkeys(("a", "b", "last"), f"{head}, new\n")
+        assert after in (dict.fromkeys(names, f"{head}, old\n"), new), step
+        seen.add(after == new)
+        with together(folder, ["a"], own=own == "own"):  # sweeps what the killed one left, and takes the old file away
             pass
         assert not [path for path in folder.iterdir() if path.name.startswith(".")]
         if ended.returncode == 0:
             break
     assert ended.returncode == 0
     assert step > 8, "it was killed many times"
-    assert seen == {("old",), ("new",)}
+    assert seen == {True, False}
+
+
+@pytest.fixture
+def left_ready(tmp_path):
+    """A folder in which a run was killed when its files were ready, before any of them took its place."""
+    folder = tmp_path / "d"
+    folder.mkdir()
+    for name in ("a", "last"):
+        (folder / name).write_text("# written by casacal 0.1.0, old\n")
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    for step in range(1, 20):
+        subprocess.run([sys.executable, "-c", KILLED, str(folder), str(step), "marked"], env=environment, check=False)
+        if list(folder.glob(".casacal.ready-*")):
+            return folder
+    raise AssertionError("it is never ready")
+
+
+def test_what_was_put_there_meanwhile_stays(left_ready):
+    (left_ready / "a").write_text("mine")
+    recover(left_ready)
+    assert (left_ready / "a").read_text() == "mine"
+    with pytest.raises(CasacalError, match="was not written by casacal"), together(left_ready, ["last"]):
+        pass
+    (left_ready / "a").unlink()
+    recover(left_ready)
+    assert "new" in (left_ready / "a").read_text()
+
+
+def test_a_copy_of_a_folder_leaves_the_first_one_alone(left_ready, tmp_path):
+    there = {path.name: path.read_bytes() for path in left_ready.iterdir() if path.is_file()}
+    shutil.copytree(left_ready, tmp_path / "copy")
+    recover(tmp_path / "copy")
+    assert "new" in (tmp_path / "copy" / "last").read_text()
+    assert {path.name: path.read_bytes() for path in left_ready.iterdir() if path.is_file()} == there
+
+
+@pytest.mark.parametrize(
+    "listed",
+    [
+        '{"files": [["../victim", true]], "own": false}', '{"files": [["VICTIM", true]], "own": false}',
+        "[]", "null", '{"files": 5}', "[" * 5000, '{"files": [], "own": true}', "\x00",
+    ],
+)  # fmt: skip
+def test_a_forged_list_moves_nothing(tmp_path, listed):
+    (tmp_path / "victim").write_text("# written by casacal 0.1.0\n")
+    ready = tmp_path / "d" / ".casacal.ready-1"
+    ready.mkdir(parents=True)
+    (ready / "a").write_text("evil")
+    (ready / ".list").write_text(listed.replace("VICTIM", str(tmp_path / "victim")))
+    (tmp_path / "d" / "s.csv").write_text("a,b\n1,2\n")
+    recover(tmp_path / "d")
+    with together(tmp_path / "d", ["other"]):
+        pass
+    assert (tmp_path / "victim").read_text() == "# written by casacal 0.1.0\n"
+    assert (ready / "a").read_text() == "evil"
 
 
 def test_a_result_whose_files_were_not_all_placed_is_read_as_the_new_one(place, tmp_path, monkeypatch):
@@ -177,7 +265,7 @@ def test_a_result_whose_files_were_not_all_placed_is_read_as_the_new_one(place, 
 
 def test_samples_whose_truth_was_not_placed_are_read_with_it(tmp_path):
     for name in ("x.csv", "x.truth.json"):
-        (tmp_path / name).write_text("old, written by casacal")
+        (tmp_path / name).write_text("# written by casacal 0.1.0, old")
     with side_by_side([tmp_path / "x.truth.json", tmp_path / "x.csv"]) as (truth, rows):
         truth.write_text("new")
         rows.write_text("a,b\n1,2\n")

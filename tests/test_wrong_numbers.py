@@ -114,9 +114,9 @@ def test_an_error_of_manufacture_is_no_wrong_number(hsr, seed):
     assert wrong_number(bind(hsr.problem, with_lost_zero(hsr, 3, math.degrees(9e-3), seed, error_scale=0.2)))
 
 
-def _ur10e(length):
-    """A UR10e with a tool of a length (mm), as its maker's table has it, and its cell."""
-    rows = ((90, 0, 180.7), (0, -612.7, 0), (0, -571.55, 0), (90, 0, 174.15), (-90, 0, 119.85), (0, 0, 116.55))
+def _ur10e(length, d6=116.55):
+    """A UR10e with a tool of a length (mm), as its maker's table has it, or with another last length."""
+    rows = ((90, 0, 180.7), (0, -612.7, 0), (0, -571.55, 0), (90, 0, 174.15), (-90, 0, 119.85), (0, 0, d6))
     robot = Robot.from_dh(
         "UR10e",
         alpha=deg(*(row[0] for row in rows)),
@@ -166,3 +166,19 @@ def test_a_held_tool_is_named_as_well(length):
     (error,) = (finding for finding in check(problem, samples) if finding.severity == "error")
     assert error.about.startswith("tool")
     assert "--prior" not in str(error)
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_a_last_link_that_is_shorter_is_named_beside_the_tool(held):
+    """5 mm of d6 look like a tool 5 mm longer, which is a warning as such, or an error where the tool is held."""
+    right = _ur10e(120.0)
+    cell = Cell(faces=corner((800.0, 0.0, 400.0), size=400.0))
+    samples = simulate(right, cell, samples=120, seed=9).samples
+    problem = _ur10e(120.0, d6=112.55).with_prior({"d6": 0.7})
+    problem = problem.fix("tool") if held else problem
+    found = [each for each in check(problem, samples) if "elsewhere" in each.about]
+    assert found
+    for each in found:
+        assert "tool" in str(each)
+        assert "d6" in str(each)
+        assert "--prior" not in str(each)

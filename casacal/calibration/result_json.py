@@ -137,7 +137,7 @@ def write_calibration(
 def _table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Parameters as CSV."""
     text = io.StringIO()
-    text.write(f"# {MADE} {__version__}\n")
+    text.write(f"# {MADE}\n")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(("name", "unit", "nominal", "estimate", "change", "std", "known_from"))
     for row in rows:

@@ -231,7 +231,7 @@ def write_touches(path: str | Path, found: Change, layout: Layout, name: str) ->
     if found.touches is None:
         return
     notes = [
-        f"touches that would settle what changed, {MADE} for {name}: not a measurement",
+        f"touches that would settle what changed for {name}, {MADE}: not a measurement",
         f"between {' and '.join(cause.name for cause in found.causes)}",
         "bring the arm to each posture, then along the plunger until the instrument reads; write down the joint values "
         "that the controller shows and the reading that there is, not the expected one; give them with the other rows",

@@ -8,8 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from casacal.binding.bound_problem import bind
 from casacal.checks.faults import suspected
 from casacal.checks.finding import FIRST_STEPS, STEPS, Fault, Finding, Undone, misfit
+from casacal.checks.fitted_faults import alike_numbers, tool_keys
+from casacal.checks.numbers import TOOL
 from casacal.errors import CasacalError
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
@@ -61,8 +64,14 @@ def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = 
         pairs = _pairs(tried, problem)
         both = _simplest(pairs)
         if both is not None and both.size < min(BETTER * min(best.size, base), EXPLAINED):
-            return _told(both, base, pairs)
-    return _told(best, base, tried) if best.size <= max(min(BETTER * base, EXPLAINED), CHANCE) else None
+            return _told(both, base, pairs, [])
+    tool = [fault.about for fault in best.faults] == [TOOL]
+    alike = alike_numbers(bind(problem, samples), tool_keys(problem)) if tool else ()
+    return (
+        _told(best, base, tried, [f"{name} elsewhere" for name in alike])
+        if best.size <= max(min(BETTER * base, EXPLAINED), CHANCE)
+        else None
+    )
 
 
 def _one(fault: Fault, before: _Trial) -> Iterator[_Trial]:
@@ -118,10 +127,12 @@ def _simplest(tried: list[_Trial]) -> _Trial | None:
     return min((trial for trial in tried if trial.size <= ALIKE * least), key=lambda trial: trial.freedom)
 
 
-def _told(best: _Trial, base: float, tried: list[_Trial]) -> Cause:
+def _told(best: _Trial, base: float, tried: list[_Trial], alike: list[str]) -> Cause:
+    """The cause in words; `alike`: what rows cannot tell from it, beside what was tried."""
     names = " and ".join(fault.about for fault in best.faults)
     others = [" and ".join(fault.about for fault in trial.faults) for trial in tried if trial.size <= ALIKE * best.size]
     rivals = [name for name in dict.fromkeys(others) if set(name.split(" and ")) != set(names.split(" and "))][:RIVALS]
+    rivals = [*dict.fromkeys([*alike, *rivals])]
     also = f"; {', '.join(rivals)} would explain it equally well" if rivals else ""
     causes = " and ".join(fault.cause for fault in best.faults)
     undone = "with that undone" if len(best.faults) == 1 else "with both undone"

@@ -13,9 +13,9 @@ from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.marginal import Seen
 from casacal.binding.noise_scale import times
 from casacal.checks.finding import Fault, Finding, Undone, quick_fit
-from casacal.checks.fitted_faults import tool_keys
-from casacal.errors import CasacalError
+from casacal.checks.fitted_faults import as_good, priors_of, tool_keys
 from casacal.estimators import lm
+from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.uncertainty.common_scale import common_scale
@@ -42,7 +42,6 @@ UNLIKELY = 1e-2  # the same, beyond which it is mentioned
 WARM = 1e-3  # part by which an arm grows that is 40 degrees warmer than its drawing, and more, of any metal
 MOST_PART = 0.1  # no dial is so wrong; where all touches were driven to one depth, readings seem to mean nothing at all
 
-TOLD = 4.5  # cost, in units of the noise, by which rows tell two causes apart: three standard deviations
 TRIED = 2  # numbers that are freed one by one, those first that gain most
 
 
@@ -51,7 +50,7 @@ def numbers(problem: Problem) -> Iterator[Fault]:
 
     Of more freedom than a tool elsewhere, which is commoner: among so many, one or the other may fit by chance.
     """
-    for name, _, _, unit in _priors(problem):
+    for name, _, _, unit in priors_of(problem):
         cause = f"{name} seems to differ from the problem file"
         yield Fault(f"{name} elsewhere", cause, _fix(name, unit), partial(_freed, name=name), 4, common=False)
 
@@ -81,34 +80,23 @@ def wrong_number(bound: BoundProblem, *, alone: bool = False) -> list[Finding]:
             if not alone and _likelihood(wide) < _likelihood(stated):
                 return []  # errors that rows share pull a number far as well
             size = f"{_by(bound.problem, key, name, by)}, which is {abs(by) / prior:.2g} prior standard deviations"
-            if rivals := _rivals(bound, name, found.cost + TOLD * noise**2):
+            if rivals := _rivals(bound, name, found):
                 return [_one_of(bound.problem, rivals, name, size)]
             cause = f"{name} seems to differ from the problem file{size}; no other parameter is so far off"
             return [Finding("error", f"{name} elsewhere", cause, _fix(name, unit) + _tried(name, unit, by))]
     return []
 
 
-def _rivals(bound: BoundProblem, name: str, cost: float) -> dict[str, str]:
-    """What else of tool, instrument and arm explains the rows at no more than a cost, by name, and by how much.
+def _rivals(bound: BoundProblem, name: str, freed: Result) -> dict[str, str]:
+    """What else of tool, instrument and arm explains the rows as well, by name, and by how much.
 
     The instrument's own numbers come first, the tool before all others: it is what people exchange and mistype.
     """
-    problem, found = bound.problem, dict[str, str]()
+    problem = bound.problem
     own = dict.fromkeys(full for key, full in problem.full_names[0].items() if key not in problem.instrument.datum)
     tool = [problem.full_names[0][key] for key in tool_keys(problem)]
     groups = {**({"tool": tool} if tool else {}), **{key: [key] for key in own if key not in tool}}
-    for title, keys in (groups | {each: [each] for each, *_ in _priors(problem) if each != name}).items():
-        try:
-            other = bind(problem.free(*keys).with_prior(dict.fromkeys(keys, math.inf)), *bound.samples)
-            fitted = lm(other)
-        except CasacalError:  # nothing of it can be freed
-            continue
-        if fitted.converged and fitted.cost <= cost:
-            parts = tuple(f"{key}{sign}" for key in keys for sign in "_.")
-            rows = [j for j, each in enumerate(other.names) if each in keys or each.startswith(parts)]
-            far = max(rows, key=lambda j: abs(fitted.x[j]))
-            found[title] = f"{other.names[far]} by {fitted.x[far]:+.3g} {other.units[far]}"
-    return found
+    return as_good(bound, groups | {each: [each] for each, *_ in priors_of(problem) if each != name}, freed)
 
 
 def _one_of(problem: Problem, rivals: Mapping[str, str], name: str, size: str) -> Finding:
@@ -186,7 +174,7 @@ def _promising(bound: BoundProblem, x: Array, variances: Array) -> list[tuple[st
     where all priors are too tight, or the noise is, all of these grow.
     """
     gains = {}
-    for name, key, std, unit in _priors(bound.problem):
+    for name, key, std, unit in priors_of(bound.problem):
         j = bound.names.index(name)
         told = std**2 - variances[j]
         gains[name, key, unit] = float(x[j] ** 2 / told) if told > DULL * std**2 else 0.0
@@ -195,18 +183,9 @@ def _promising(bound: BoundProblem, x: Array, variances: Array) -> list[tuple[st
     return [each for each in order[:TRIED] if gains[each] > ALONE * max((total - gains[each]) / others, 1.0)]
 
 
-def _priors(problem: Problem) -> Iterator[tuple[str, str, float, str]]:
-    """Name, key, prior and unit of every free number of the arm that has a finite one."""
-    for key, unknown in problem.robot.parameters.items():
-        if isinstance(unknown, Parameter):
-            for name, std, unit in zip(unknown.names(key), unknown.prior_stds, unknown.units, strict=True):
-                if math.isfinite(std):
-                    yield name, key, float(std), unit
-
-
 def _freed(problem: Problem, samples: Samples, *, name: str) -> Undone:
     """The number free of its prior, and where the samples put it, so that further fits begin there."""
-    key, unit = next((key, unit) for each, key, _, unit in _priors(problem) if each == name)
+    key, unit = next((key, unit) for each, key, _, unit in priors_of(problem) if each == name)
     freed = problem.with_prior({name: math.inf})
     fitted = quick_fit(freed, samples)
     if fitted is None:

@@ -131,10 +131,17 @@ def number_or_range(text: str) -> float | tuple[float, float]:
         raise argparse.ArgumentTypeError(f"'{text}' is no number, nor a range of two such as -5:5") from None
 
 
+THINNEST = 5.0  # mm; a radius of links below it was given in metres
 TABLE = (
     "--table Z",
     "height of what the arm stands on, mm, base frame: nothing goes below it; default: 0, the base plane; -inf: none",
 )
+
+
+def table_of(source: ProblemFile, options: argparse.Namespace) -> float:
+    """Height of the table, mm: as it was named, or as the problem file's cell has it, or the base plane."""
+    own = 0.0 if source.cell is None else source.cell.table
+    return own if options.table is None else float(options.table)
 
 
 def on_table(source: ProblemFile, options: argparse.Namespace) -> ProblemFile:
@@ -144,13 +151,10 @@ def on_table(source: ProblemFile, options: argparse.Namespace) -> ProblemFile:
 
     problem = source.problem
     faced = [name for name, each in zip(problem.names, problem.instruments, strict=True) if each.probe is not None]
-    table = 0.0 if options.table is None else options.table
-    cell = source.cell
+    table, cell = table_of(source, options), source.cell
     if cell is None:
         cell = default_cell(problem.measured_by(faced[0]), table=table) if faced else Disturbances(table=table)
-    elif options.table is not None:
-        cell = replace(cell, table=table)
-    return replace(source, cell=cell)
+    return replace(source, cell=replace(cell, table=table))
 
 
 def add_clearance(parser: argparse.ArgumentParser) -> None:
@@ -173,5 +177,7 @@ def clearance_of(options: argparse.Namespace, problem: Problem) -> Clearance | N
         shapes = LinkShapes.of(problem.robot)
     if not options.keep_out and options.link_radius is None and shapes is None:
         return None
+    if options.link_radius is not None and options.link_radius < THINNEST:
+        raise CasacalError(f"--link-radius is {options.link_radius:g} mm, which no link is", "Give mm: 0.05 m are 50")
     boxes = tuple(box_of(text, option="--keep-out") for text in options.keep_out)
     return Clearance(boxes, options.link_radius, shapes)

@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.bench.benchmark import bench_lines, benchmark
     from casacal.bench.benchmark_set import DESCRIPTION, read_set, read_sets
     from casacal.bench.methods import WAYS
-    from casacal.files import MADE, write_text
+    from casacal.files import write_text
     from casacal.study import runs
 
     data = options.data or os.environ.get(WHERE, "")
@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
             study, out, quick=options.quick, workers=options.workers, resume=options.resume, progress=progress
         )
     path = out / "report.md"
-    write_text(path, "\n".join([*bench_lines(made, sets), "", f"<!-- {MADE} bench -->"]) + "\n")
+    write_text(path, "\n".join([*bench_lines(made, sets), "", "<!-- written by casacal bench -->"]) + "\n")
     say_paragraphs(f"{len(made.records)} records, SHA-256 without timings {made.digest}. Written: {path.as_posix()}")
     return DONE
 

@@ -126,6 +126,8 @@ def spare(outs: Iterable[str | Path], *inputs: str | Path | None, option: str = 
     from casacal.files import recover, refuse_others
 
     for out in outs:
+        if Path(out).suffix.lower() in (".xlsx", ".npy", ".npz"):
+            raise CasacalError(f"'{out}' would not be a {Path(out).suffix} file", "Name one that ends in .csv")
         recover(Path(out).parent)
         for given in inputs:
             if given is not None and Path(given).is_file() and Path(out).exists() and Path(out).samefile(given):

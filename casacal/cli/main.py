@@ -57,7 +57,9 @@ class _Parser(argparse.ArgumentParser):
         raise CasacalError(f"{command}: {message}" if command else message, f"See {self.prog} --help")
 
 
-NEGATIVE = re.compile(r"-[\d.]+[:,]")  # how a box, a range or a point begins whose first number is below zero
+NEGATIVE = re.compile(
+    r"-(inf$|[\d.]+([:,]|e-?\d))"
+)  # a box, range or number below zero that argparse takes for an option
 
 
 def build_parser() -> _Parser:

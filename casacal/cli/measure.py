@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from casacal.cli.adjust import add_clearance, add_where, clearance_of, on_table, where
+from casacal.cli.adjust import add_clearance, add_where, clearance_of, on_table, table_of, where
 from casacal.cli.common import DONE, FAILED, PROBLEM, add, of_instrument, spare, whole_number
 from casacal.cli.terminal import prompt, say_paragraphs
 from casacal.errors import CasacalError
@@ -95,7 +95,7 @@ def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, T
     content = hashlib.sha256(Path(options.plan).read_bytes()).hexdigest()[:12]
     file = TouchFile(Path(options.out), layout, f"measured by casacal: {source.name}, plan {content}")
     file.refuse_others()
-    refuse_plan_of_another(options.plan, source.name)
+    refuse_plan_of_another(options.plan, source.name, table_of(source, options))
     if file.begun():
         touches, cut = file.read()
         if cut:

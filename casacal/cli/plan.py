@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import shlex
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -98,7 +99,13 @@ def run(options: argparse.Namespace) -> int:
     if clearance is not None and clearance.shapes is not None and clearance.shapes.words:
         say_paragraphs(clearance.shapes.words)
     say_paragraphs(*(f"warning: {each}" for each in warned), *(f"Written: {place}" for place in written))
-    named = [] if options.instrument is None else ["--instrument", options.instrument]
+    given = {"--instrument": options.instrument, "--table": options.table, "--link-radius": options.link_radius}
+    named = [
+        f"{name}={value if isinstance(value, str) else f'{value:g}'}"
+        for name, value in given.items()
+        if value is not None
+    ]
+    named += [f"--keep-out={box}" for box in options.keep_out] + ["--ignore-shapes"] * options.ignore_shapes
     command = shlex.join(["casacal", "measure", options.problem, *named, "--plan", options.out, "--out"])
     say_paragraphs(f"Next: {command} SAMPLES")
     return DONE
@@ -198,9 +205,17 @@ def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clea
             )
     if len(texts) < 1 + (options.sheet is not None) + len(set(options.program)):
         raise CasacalError("Two of the files to write have the same name", "Name others")
-    out, *others = texts
-    elsewhere = {f"{k}{path.suffix}": path for k, path in enumerate(others)}
-    with together(out.parent, [*elsewhere, out.name], asked=out, elsewhere=elsewhere) as place:
-        for name, text in zip([out.name, *elsewhere], texts.values(), strict=True):
-            write_text(place / name, text)
+    if any(path.exists() and not path.is_file() for path in texts):  # a pipe takes no place beside others
+        for path, text in texts.items():
+            write_text(path, text)
+    else:
+        groups = dict[Path, list[Path]]()
+        for path in texts:
+            groups.setdefault(path.parent.resolve(), []).append(path)
+        with ExitStack() as sets:  # the folder of the plan is entered first, so that its files are placed last
+            for folder, some in groups.items():
+                names = [path.name for path in reversed(some)]
+                place = sets.enter_context(together(folder, names, asked=some[0]))
+                for path in some:
+                    write_text(place / path.name, texts[path])
     return [path.as_posix() for path in texts]

@@ -6,6 +6,7 @@ import argparse
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from casacal.cli.adjust import table_of
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ def route_of(source: ProblemFile, options: argparse.Namespace) -> Route | None:
         what = f"A plan is of one instrument, and the problem has {', '.join(names)}"
         raise CasacalError(what, "Leave --plan out: simulate measures with all of them")
     found = read_route(options.plan, source.problem.layout())
-    refuse_plan_of_another(options.plan, source.name)
+    refuse_plan_of_another(options.plan, source.name, table_of(source, options))
     if set(found.purposes) == {CHECK}:
         raise CasacalError(f"All touches of {options.plan} are kept to verify", "Give a plan with touches to fit")
     return found

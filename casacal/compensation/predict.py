@@ -23,7 +23,6 @@ from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
 from casacal.tables.read import is_frame, read_columns, table_of_frame
 from casacal.values import Value, frozen
-from casacal.version import __version__
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +162,7 @@ def predict(
 
 def write_prediction(path: str | Path, prediction: Prediction, remarks: Sequence[str] = ()) -> None:
     """Write x_mm,y_mm,z_mm,qw,qx,qy,qz, and std_mm where there is one; one row per pose, below remarks."""
-    lines = [f"# predicted, {MADE} {__version__}: poses in the base frame", *(f"# {remark}" for remark in remarks)]
+    lines = [f"# predicted, {MADE}: poses in the base frame", *(f"# {remark}" for remark in remarks)]
     lines += ["x_mm,y_mm,z_mm,qw,qx,qy,qz" + (",std_mm" if prediction.std is not None else "")]
     for i, (place, turn) in enumerate(zip(prediction.positions, prediction.quaternions, strict=True)):
         cells = [f"{v:.6f}" for v in place] + [f"{v:.12f}" for v in turn]

@@ -131,7 +131,7 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
     unseen = [row["name"] for row in result.document["parameters"] if row.get("known_from") in ("prior alone", "held")]
     held = [name for name in unseen if name in names]
     lines = [
-        f"{MADE} compensate: {targets.file} (SHA-256 {targets.sha256[:12]}), result {result.file} of "
+        f"{MADE}: compensate {targets.file} (SHA-256 {targets.sha256[:12]}), result {result.file} of "
         f"{result.source.problem.robot.name}",
         "joint values are those that the controller shows",
         f"{len(targets)} targets: " + ", ".join(f"{count} {word}" for word, count in counts.items()),

@@ -16,7 +16,6 @@ from casacal.export.remark import MARK, as_exported, remark
 from casacal.export.urdf import urdf_text
 from casacal.files import MADE, write_text
 from casacal.robots.files.dh_file import is_toml
-from casacal.version import __version__
 
 FORMS = ("dh", "urdf", "zeros", "ur", "c", "casadi")
 """DH table (CSV, or TOML by the file's name), URDF, zero corrections (CSV), ur_description's kinematics, C99, and
@@ -58,7 +57,7 @@ def export(
     elif form == "c":
         text = c_text(arm, prefix=prefix)
     elif form == "casadi":
-        text = f"{casadi_text(arm)}\n# {MADE} {__version__}\n"  # behind what casadi.Function.load reads
+        text = f"{casadi_text(arm)}\n# {MADE}\n"  # behind what casadi.Function.load reads
     else:
         text = zeros_text(arm) if form == "zeros" else ur_kinematics_text(arm)
     if path is not None:

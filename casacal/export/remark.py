@@ -11,7 +11,6 @@ from casacal.files import MADE
 from casacal.robots.dh_table import DHTable
 from casacal.robots.robot import Robot
 from casacal.robots.urdf_chain import UrdfChain
-from casacal.version import __version__
 
 TAKES_COLUMNS = ("c", "casadi")  # forms with an input for what columns tell of effects
 
@@ -36,7 +35,7 @@ def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
     result = as_exported(result, form)
     document = result.document
     name = result.source.name
-    by = f"{MADE} {__version__}"
+    by = MADE
     if document.get("method") == "truth":
         return [f"{MARK}the true arm of a simulation of {name}, not a calibration ({by})"]
     lines = [f"{MARK}{name}, calibrated by {document.get('method')}, {Path(result.file).name}, {by}"]

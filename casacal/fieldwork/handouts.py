@@ -106,6 +106,7 @@ def program_text(problem: Problem, route: Route, ways: Approaches, language: str
     def written(joints: Array) -> str:
         return form.language.written(joints, form.decimals)
 
+    add(form.wait, "jog the arm to near the first touch, then let the program go on")  # from wherever it stands
     labels = list(route.samples.labels.values())
     for k, purpose in enumerate(route.purposes):
         where = printable(" ".join(label[k] for label in labels)).replace('"', "'")

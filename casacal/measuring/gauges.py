@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from casacal.errors import CasacalError, refuse_unknown
+from casacal.errors import CasacalError, harmless, refuse_unknown
 from casacal.instruments.description import Dimension
 from casacal.wording import listed
 
@@ -150,7 +150,7 @@ class SerialLine:
             held = held[-LONGEST:]
             for line in whole:
                 if line.strip():
-                    yield line[-LONGEST:].decode("ascii", errors="replace")
+                    yield harmless(line[-LONGEST:].decode("ascii", errors="replace"))
 
     def listen(self, inbox: Inbox) -> None:
         """Put what comes into an inbox until `close`; says there when the gauge is gone and when it is back."""
@@ -184,6 +184,7 @@ RETRY = 1.0  # seconds between two attempts to find a lost gauge again
 QUIET = 2.0
 """Seconds without a line before one counts that nobody asked for: not what a button sends that is pressed twice, nor
 any of a stream. Nobody brings an arm to its next posture in less."""
+EVEN = 0.02  # part by which two times between lines of a gauge that sends by the clock differ
 HOLD, STREAM = 0.3, 2  # seconds in which so many more lines show that a gauge sends without end, and not its button
 
 
@@ -206,7 +207,7 @@ class Inbox:
         self._now, self._came = now, threading.Condition()
         self._typed, self._notes = deque[str | None](), deque[str]()
         self._sent: str | None = None
-        self._last, self._due, self._more = -math.inf, 0.0, 0
+        self._last, self._quiet, self._due, self._more = -math.inf, math.inf, 0.0, 0
         self._open, self._wanted, self._told = False, False, False
 
     def type(self, line: str | None) -> None:
@@ -218,8 +219,9 @@ class Inbox:
     def send(self, line: str) -> None:
         """A line of the gauge."""
         with self._came:
-            quiet, self._last = self._now() - self._last, self._now()
-            if self._open and (self._wanted or quiet >= QUIET):
+            before, quiet, self._last = self._quiet, self._now() - self._last, self._now()
+            self._quiet, even = quiet, abs(quiet - before) < EVEN * quiet  # a slow stream, as no hand presses
+            if self._open and (self._wanted or (quiet >= QUIET and not even)):
                 self._sent, self._open, self._more = line, False, 0
                 self._due = self._last + (0.0 if self._wanted else HOLD)
             else:

@@ -8,10 +8,11 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from casacal.errors import CasacalError, SamplesError
-from casacal.files import recover, together, writable, write_text
+from casacal.files import place_whole, recover, together, writable, write_text
 from casacal.measuring.touch import Touch, rows_of
 from casacal.planning.route import CHECK, PURPOSES
 from casacal.samples.layout import Layout
@@ -77,9 +78,11 @@ class TouchFile(Value):
             if path.exists():
                 data = path.read_bytes()
                 whole = data[: data.rfind(b"\n") + 1]
+                if not f"# {self.mark}\n".encode().startswith(data):  # not even its first line is whole
+                    self._check_mark(path, data.decode("utf-8", errors="replace").lstrip().partition("\n")[0].rstrip())
                 if len(whole) < len(data):
                     cut = True
-                    write_text(path, whole.decode(errors="replace"), own=True) if whole else path.unlink()
+                    place_whole(path, partial(_filled, data=whole), own=True) if whole else path.unlink()
                 found += self._touches(path)
         found.sort(key=lambda pair: pair[0])
         return [touch for _, touch in found], cut
@@ -112,28 +115,40 @@ class TouchFile(Value):
         beside = dict(zip(BESIDE, cells, strict=True))
         return samples_text(self.layout, rows_of(touches), [self.mark], after=beside, least_decimals=JOINT_DECIMALS)
 
+    def _check_mark(self, path: Path, first: str) -> None:
+        """Raise SamplesError unless the first line of a file is that of this session: nothing is changed before."""
+        if first == f"# {self.mark}":
+            return
+        if self.mark in first:
+            fix = "Undo the change, or calibrate with its rows as they are and continue in another file"
+            raise SamplesError(path.as_posix(), "another program has changed this file", fix)
+        fix = "Name another --out, or continue with the plan that it was begun with"
+        raise SamplesError(path.as_posix(), "this file exists already and belongs to another problem or plan", fix)
+
     def _touches(self, path: Path) -> list[tuple[int, Touch]]:
         if not path.exists():
             return []
         lines = [line for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
-        if lines and lines[0] != f"# {self.mark}":
-            if self.mark in lines[0]:
-                fix = "Undo the change, or calibrate with its rows as they are and continue in another file"
-                raise SamplesError(path.as_posix(), "another program has changed this file", fix)
-            fix = "Name another --out, or continue with the plan that it was begun with"
-            raise SamplesError(path.as_posix(), "this file exists already and belongs to another problem or plan", fix)
         if len(lines) < 3:
             return []
         samples, found = Samples.from_file(path, self.layout), []
         missing = (NONE,) * len(samples)
         beside = zip(*(map(str, samples.extra.get(name, missing)) for name in BESIDE), strict=True)
         for k, (order, number, purpose, kept) in enumerate(beside):
-            if not order.isdecimal() or not (number == NONE or number.isdecimal()) or purpose not in PURPOSES:
+            if not _is_count(order) or not (number == NONE or _is_count(number)) or purpose not in PURPOSES:
                 fix = "Restore them, or start a new file"
                 raise SamplesError(path.as_posix(), "order, touch or purpose were changed", fix)
             of_plan = None if number == NONE else int(number)
             found.append((int(order), Touch.of(samples, k, of_plan, purpose, kept=kept == KEPT)))
         return found
+
+
+def _is_count(text: str) -> bool:
+    return text.isdecimal() and len(text) < 10
+
+
+def _filled(place: Path, *, data: bytes) -> None:
+    place.write_bytes(data)
 
 
 def _added(path: Path, data: bytes) -> None:

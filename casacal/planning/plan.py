@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.binding.nominal import nominal_tips
 from casacal.binding.slots import instances, make_slots
 from casacal.errors import CasacalError, came, refuse_unknown
 from casacal.planning.choice import Choice, cell_of, pool_of, refuse_several, seldom, wanted_joints
 from casacal.planning.clearance import Clearance
 from casacal.planning.exchange import Chosen, Criterion
 from casacal.planning.route import AGAIN, CHECK, FIT, Route, shortest_way
-from casacal.problem.cell import Disturbances
+from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples, joined
 from casacal.uncertainty.expectation import Box
@@ -109,7 +110,7 @@ def plan(
     _refuse(touches, pool, starts, again, check)
     refuse_unknown("criterion", [criterion], (each.value for each in Criterion))
     wanted = Criterion(criterion)
-    still = cell_of(problem, cell)
+    still = _placed(problem, cell_of(problem, cell), after)
     reachable = pool_of(problem, still, pool, seed, clearance)
     bound = bound_pool(problem, reachable, after, loose)
     choice_at = partial(Choice.of, bound, wanted_joints(bound, box, targets), count=pool, loose=loose)
@@ -140,6 +141,26 @@ def plan(
         float(np.sqrt(np.mean(np.square(over_arms)))),
         still,
     )
+
+
+ASTRAY = 50.0  # mm that a face may be off where a cell has it, before touches of it would be planned in the air
+
+
+def _placed(problem: Problem, cell: Disturbances, after: Samples | None) -> Disturbances:
+    """The cell; raises CasacalError where touches that were made lie far from the face that they are said to be on."""
+    if not isinstance(cell, Cell) or not isinstance(after, Samples):
+        return cell
+    after.check(problem.layout())
+    tips, rows = nominal_tips(problem, 0, after), after.faces(problem.instrument.groups).rows()
+    for face in cell.faces:
+        touched = rows.get(face.label, np.zeros(0, dtype=int))
+        off = float(np.median((tips[touched] - face.centre) @ face.axes[0])) if len(touched) else 0.0
+        if abs(off) > ASTRAY:
+            what = f"Touches of '{face.label}' in {after.file} lie {abs(off):.0f} mm from where the cell has that face"
+            raise CasacalError(
+                what, "Say where the faces are (cell in the problem file), or on which table (--table Z)"
+            )
+    return cell
 
 
 def _enough_of_each(

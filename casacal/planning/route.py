@@ -94,9 +94,13 @@ def read_route(path: str | Path, layout: Layout) -> Route:
     return Route(replace(read, columns=readings, extra={}), purposes)
 
 
-def refuse_plan_of_another(path: str | Path, name: str) -> None:
-    """Raise CasacalError for a plan whose first line says that it was made for another problem than that of a name."""
-    first = Path(path).read_text(encoding="utf-8", errors="replace").partition("\n")[0]
+def refuse_plan_of_another(path: str | Path, name: str, table: float) -> None:
+    """Raise CasacalError for a plan whose first lines say that it was made for another problem, or on another table."""
+    first, second, *_ = [*Path(path).read_text(encoding="utf-8", errors="replace").split("\n", 2), ""]
+    stood = re.match(r"\W*table at z = (\S+) mm", second)
+    if stood and float(stood[1]) != float(f"{table:g}"):
+        what = f"{path} was planned with the table at z = {stood[1]} mm, and here it is at {table:g} mm"
+        raise CasacalError(what, f"Give --table={stood[1]}, or Cell(..., table={stood[1]}) in the problem file")
     planned = re.match(r"\W*planned by casacal for (.+): not a measurement", first)
     if planned and planned[1] != name:
         raise CasacalError(f"{path} was planned for '{planned[1]}', and the problem is '{name}'", "Name its own plan")

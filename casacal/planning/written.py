@@ -176,6 +176,7 @@ def plan_text(plan: Plan, problem: Problem, name: str, clearance: Clearance | No
     layout, approach = problem.layout(), problem.instrument.words.approach
     notes = [
         f"planned by casacal for {name}: not a measurement",
+        f"table at z = {plan.cell.table:g} mm",
         f"expected tip error {plan.error:.4g} mm RMS, apart from the position of the base, if stated noise and priors "
         f"are right; of as many at random {plan.at_random:.4g} mm",
         *cell_words(plan, problem, clearance),

@@ -16,7 +16,7 @@ from types import ModuleType
 from typing import Any
 
 from casacal.errors import CasacalError, StudyError, came, said
-from casacal.files import MADE, write_json, write_text
+from casacal.files import write_json, write_text
 from casacal.study.description import Run, Study
 from casacal.user_code import line_of
 from casacal.wording import counted
@@ -168,7 +168,7 @@ def write_report(source: StudyFile, run: Run, options: str) -> Path:
         at_once = ", which asked a Dask cluster" if made.get("cluster") else at_once
         lines.append(f"- {place}{at_once}; Python {made['python']}, {packages}")
     path = run.out / REPORT
-    write_text(path, "\n".join([*lines, "", f"<!-- {MADE} study -->"]) + "\n")
+    write_text(path, "\n".join([*lines, "", "<!-- written by casacal study -->"]) + "\n")
     return path
 
 
