@@ -218,8 +218,8 @@ def _entries(line: SerialLine | None, meter: Gauge, *, reads: bool) -> Iterator[
     for source in (of_keyboard, lambda: line.listen(inbox)):
         threading.Thread(target=source, daemon=True).start()
     while True:
+        inbox.prompted()  # before the prompt is seen: what answers it counts however soon it comes
         prompt("> ")
-        inbox.prompted()
         while (entry := inbox.next()) is not None:
             if reads and entry.source == "typed" and not entry.text.strip():
                 inbox.take_next()
