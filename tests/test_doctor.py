@@ -122,6 +122,7 @@ def test_planted_faults_are_named(hsr, corner_simulation, name, tmp_path, capsys
     file = tmp_path / "planted.csv"
     write_samples(file, hsr.problem.layout(), samples, ["planted"])
     if name == "degrees as radians":
+        file.unlink()
         write_samples(file, hsr.problem.layout(), corner_simulation.samples, ["planted"])
         file.write_text(file.read_text().replace("_deg", "_rad"))
     code = main(["check", str(hsr.path), str(file)])

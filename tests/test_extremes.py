@@ -111,6 +111,7 @@ def test_commas_and_quotes_in_labels_stay_in_their_cells(hsr, tmp_path):
     samples = simulate(problem, hsr.cell, seed=1).samples
     calibrate(problem, samples, method="lm", reference=False).save(tmp_path)
     with (tmp_path / "parameters.csv").open(newline="") as file:
+        next(file)  # the mark
         rows = list(csv.DictReader(file))
     assert [row["name"] for row in rows[-3:]] == ["tool, x", 'tool"y"', "tool;z"]
     assert all(float(row["std"]) >= 0 and row["known_from"] for row in rows)
@@ -228,6 +229,7 @@ def test_no_rows_are_said(hsr):
     assert "there are no rows" in found.cause
 
 
+@pytest.mark.long_unless("5e-324", "1e-300", "1e+200")
 @pytest.mark.parametrize("noise", [5e-324, 1e-300, 1e-100, 1e-11, 1e11, 1e200])
 def test_no_noise_ends_in_a_traceback(hsr, noise):
     problem, samples = hsr.problem.with_settings({"noise_std": noise}), hsr.problem.read(hsr.samples)

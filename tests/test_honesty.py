@@ -98,7 +98,7 @@ def test_predicted_standard_deviations(tmp_path):
         arguments = ["predict", str(tmp_path / "result.json"), joints, "--frame", frame, "--std", "--out", str(out)]
         assert main(arguments) == 0
         assert out.read_text().startswith("x_mm,y_mm,z_mm,qw,qx,qy,qz,std_mm\n")
-        std = np.loadtxt(out, delimiter=",", skiprows=1)[:, 7]
+        std = np.loadtxt(out, delimiter=",", skiprows=2)[:, 7]
         assert ((std > 0.01) & (std < 2)).all()
     assert main([*arguments, "--nominal"]) == 2
     document = json.loads((tmp_path / "result.json").read_text())

@@ -218,7 +218,7 @@ def test_memory_says_what_files_say(found, by_command):
     assert (
         main(["predict", str(by_command / "result.json"), str(by_command / "q.csv"), "--std", "--out", str(out)]) == 0
     )
-    table, here = pd.read_csv(out), found.predict(Q, std=True)
+    table, here = pd.read_csv(out, comment="#"), found.predict(Q, std=True)
     np.testing.assert_allclose(table[["x_mm", "y_mm", "z_mm"]], here.positions, atol=1e-6)
     np.testing.assert_allclose(table["std_mm"], here.std, atol=1e-6)
     np.testing.assert_allclose(here.poses[:, :3, 3], here.positions)

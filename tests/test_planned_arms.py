@@ -49,6 +49,7 @@ def joints_of(path, arm):
     return rows, rows[names].to_numpy(float)
 
 
+@pytest.mark.long_unless("UR10e")
 @pytest.mark.parametrize("name", BY_NAME)
 def test_nothing_goes_below_the_base_plane_and_each_face_is_told(folders, tmp_path, capsys, name):
     arm, out, sheet = BY_NAME[name], tmp_path / "plan.csv", tmp_path / "sheet.html"
@@ -102,6 +103,7 @@ def test_a_hundred_plans_stay_above_the_table(folders):
             assert heights(arm, shown).min() > -1e-3, (name, seed)
 
 
+@pytest.mark.long
 def test_a_table_may_be_lower_or_higher(folders, tmp_path, capsys):
     arm, out = BY_NAME["UR10e"], tmp_path / "plan.csv"
     asked = ["plan", str(folders["UR10e"]), "--out", str(out), "--touches", "30", "--pool", "200", "--json"]
@@ -181,7 +183,10 @@ def test_touches_that_were_made_elsewhere_are_refused_not_planned_on(folders, tm
     assert main([*again, "--table=-400"]) == 0
 
 
-@pytest.mark.parametrize("typed", [["--table", "-inf"], ["--table", "-1e2"], ["--table=-1e9"]])
+@pytest.mark.long_unless("-inf")
+@pytest.mark.parametrize(
+    "typed", [["--table", "-inf"], ["--table", "-1e2"], ["--table=-1e9"]], ids=lambda each: each[-1]
+)
 def test_heights_below_zero_may_be_typed(folders, tmp_path, typed):
     common = ["--out", str(tmp_path / "p.csv"), "--touches", "12", "--pool", "60"]
     assert main(["plan", str(folders["UR5"]), *common, *typed]) == 0

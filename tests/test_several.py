@@ -191,7 +191,7 @@ def test_one_command_from_samples_to_a_verified_arm(tmp_path, capsys):
     for name in ("dial", "tracker"):
         words = ["--frame", "tip", "--std", "--instrument", name]
         assert main(["predict", str(out), str(tmp_path / "fresh-tracker.csv"), "--out", str(poses), *words]) == 0
-        tips.append(np.loadtxt(poses, delimiter=",", skiprows=1)[:, :3])
+        tips.append(np.loadtxt(poses, delimiter=",", skiprows=2)[:, :3])
     assert np.linalg.norm(tips[0] - tips[1], axis=1).min() > 20, "each instrument has a tip of its own"
     assert main(["export", str(out), "--to", "dh", "--out", str(tmp_path / "arm.csv")]) == 0
     capsys.readouterr()

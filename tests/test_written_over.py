@@ -85,6 +85,7 @@ def test_a_session_begins_in_no_file_of_others(place, tmp_path, monkeypatch, cap
     capsys.readouterr()
 
 
+@pytest.mark.long_unless("predict", "compensate", "plan", "dh", "casadi", "simulate")
 @pytest.mark.parametrize("writer", WRITERS)
 def test_a_command_writes_over_its_own_files_and_over_nobody_elses(place, tmp_path, monkeypatch, capsys, writer):
     """First every kind of file that is somebody else's is kept, to the byte; then its own is written, twice."""

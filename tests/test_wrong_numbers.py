@@ -155,6 +155,7 @@ def test_a_longer_tool_and_the_last_link_are_named_together_the_tool_first(longe
     assert verdict_of(right).level == "calibrated", "who obeys is better off"
 
 
+@pytest.mark.long_unless("119.5")
 @pytest.mark.parametrize("length", [112.0, 119.5])
 def test_a_held_tool_is_named_as_well(length):
     """A tool without a prior is no unknown, and yet these rows cannot tell it from the last link."""

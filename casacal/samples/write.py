@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from casacal.files import MADE, write_text
+from casacal.files import write_text
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
 from casacal.values import EMPTY, FrozenMapping
@@ -27,7 +27,7 @@ def write_samples(path: str | Path, layout: Layout, samples: Samples, comments: 
     of a plan are for stands beside them.
     """
     after = {name: [str(cell) for cell in samples.extra[name]] for name in ("purpose",) if name in samples.extra}
-    write_text(path, samples_text(layout, samples, comments or [MADE], after=after))
+    write_text(path, samples_text(layout, samples, comments, after=after))
 
 
 def samples_text(
