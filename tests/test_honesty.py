@@ -97,7 +97,7 @@ def test_predicted_standard_deviations(tmp_path):
         out = tmp_path / f"{frame}.csv"
         arguments = ["predict", str(tmp_path / "result.json"), joints, "--frame", frame, "--std", "--out", str(out)]
         assert main(arguments) == 0
-        assert out.read_text().startswith("x_mm,y_mm,z_mm,qw,qx,qy,qz,std_mm\n")
+        assert out.read_text().splitlines()[1] == "x_mm,y_mm,z_mm,qw,qx,qy,qz,std_mm"
         std = np.loadtxt(out, delimiter=",", skiprows=2)[:, 7]
         assert ((std > 0.01) & (std < 2)).all()
     assert main([*arguments, "--nominal"]) == 2

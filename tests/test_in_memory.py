@@ -197,6 +197,7 @@ def test_losses_are_public(hsr):
 def test_memory_says_what_files_say(found, by_command):
     """result.json, predictions, targets and exports from memory are those of the command line."""
     document = json.loads((by_command / "result.json").read_text())
+    assert document.pop("written_by").startswith("casacal ")
     mine = json.loads(json.dumps(found.to_dict()))
     assert mine.keys() == document.keys()
     for one in (mine, document):  # the file's paths are relative to it
