@@ -64,8 +64,12 @@ class AsArm(ABC):
 
         """
         from casacal.compensation.predict import predict
+        from casacal.compensation.told import told_despite
 
-        return predict(self._answering(drawn=nominal), q, frame=frame, nominal=nominal, std=std)
+        found = predict(self.arm, q, frame=frame, nominal=nominal, std=std)
+        if not nominal and (words := told_despite(self.arm, found.missing).denial) is not None:
+            warnings.warn(words, RefusedResultWarning, stacklevel=2)
+        return found
 
     def compensate(
         self,
