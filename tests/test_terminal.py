@@ -73,6 +73,7 @@ def test_json_is_all_there_is(capsys, place, tmp_path):
         found[name] = json.loads(out)
         assert out.isascii()
     kept = json.loads(result.read_text(encoding="utf-8"))
+    assert kept.pop("written_by").startswith("casacal ")
     for document in (found["calibrate"], kept):
         document.pop("seconds")
         document.pop("seal")  # of the paths, too

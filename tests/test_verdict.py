@@ -457,6 +457,7 @@ def test_terminal_report_and_file_say_the_same(hsr, corner_simulation, tmp_path,
     }
     for level, (plant, code) in cases.items():
         file, out = tmp_path / "s.csv", tmp_path / level.replace(" ", "")
+        file.unlink(missing_ok=True)
         write_samples(file, hsr.problem.layout(), plant(hsr, corner_simulation.samples), [])
         options = ["--box", "1000:1700,-400:400,400:1000", "--out", str(out)]
         assert main(["calibrate", str(hsr.path), str(file), *options]) == code
