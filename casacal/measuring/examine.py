@@ -209,7 +209,8 @@ class Setting(Value):
             alarm = examined(known, {k: touches[k] for k in used}, slips, others=others)
         off, std = (None, None) if others is None else (each[0] for each in innovations_at(others, [touches[last]]))
         if alarm is not None and alarm.touch in used:
-            known = self.known_by([touches[k] for k in used if k != alarm.touch], before)
+            rest = [touches[k] for k in used if k != alarm.touch]
+            known = self.known_by([rest[k] for k in self.usable(rest)], before)  # a face may be short of a touch now
         return State(known, alarm, off, std, waiting)
 
     def _others(self, used: Sequence[Touch], before: Known | None) -> Known | None:
