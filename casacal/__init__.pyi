@@ -26,7 +26,7 @@ from casacal.doctor import diagnose as diagnose
 from casacal.doctor import read_pendant_rows as read_pendant_rows
 from casacal.errors import CasacalError as CasacalError
 from casacal.errors import ProblemError as ProblemError
-from casacal.errors import RefusedResultWarning as RefusedResultWarning
+from casacal.errors import RefusedResultError as RefusedResultError
 from casacal.errors import SamplesError as SamplesError
 from casacal.errors import SimulationError as SimulationError
 from casacal.errors import StudyError as StudyError

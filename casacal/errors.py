@@ -64,8 +64,8 @@ class SimulationError(CasacalError):
     """A cell in which the robot cannot touch the faces as asked."""
 
 
-class RefusedResultWarning(UserWarning):
-    """Numbers of a result whose verdict is not to use it were asked for: they are no calibrated arm."""
+class RefusedResultError(CasacalError):
+    """A result whose verdict is not to use it was asked for numbers: they are no calibrated arm."""
 
 
 class StudyError(CasacalError):

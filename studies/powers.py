@@ -1,8 +1,9 @@
 """How often is a fault of realistic size noticed, by its own test, and how often could any test notice it?
 
-The HSR-JR680 of the paper's cell with one fault at a time, and without any. Every trial asks the score tests of
-`casacal check` for their chances. Beside the power stands the most that any unbiased test can have which knows the
-fault's very shape in these rows, but not its size or sign: geometry hides part of every fault, and noise the rest.
+The HSR-JR680 of the paper's cell with one fault at a time, and without any. Every trial asks what `casacal check` asks:
+the gain of the likelihood by each effect of the kit, and the F tests of a dial's own errors. Beside the power stands
+the most that any unbiased test can have which knows the fault's very shape in these rows, but not its size or sign:
+geometry hides part of every fault, and noise the rest.
 
     casacal study studies/powers.py [--quick] [--trials N] [--workers N] [--out DIR]
 """
@@ -18,9 +19,10 @@ from scipy.stats import norm
 
 from casacal import BoundProblem, Cell, Method, Problem, Result, Run, Study, bind, lm, load_problem, simulate
 from casacal.study.statistics import Interval, success_rate
+from casacal.uncertainty.beside_geometry import UNLIKELY, VERY_STRONG, dial_errors, effect_sizes_of
 from casacal.uncertainty.discrepancy import with_effects
+from casacal.uncertainty.joint_repeatability import repeats_to
 from casacal.uncertainty.noise import found_noise
-from casacal.uncertainty.score_tests import score_tests
 from studies.reporting import PROBLEMS, figure, palette, percent, save, script, table
 
 ARMS, ROWS, LEVEL = 200, 120, 0.05
@@ -90,16 +92,22 @@ class Faulty:
         return float(norm.sf(limit - size) + norm.sf(limit + size))
 
 
-def chances(problem: BoundProblem) -> Result:
-    """What `casacal check` finds of each effect, in place of the trace of a fit of the geometry."""
+def asked(problem: BoundProblem) -> Result:
+    """How unlikely rows are without each error, in place of the trace of a fit: a chance, or the ratio of likelihoods.
+
+    Of joints that do not repeat, where that was told from other noise, one over what they do, in microradians.
+    """
     bound = problem.problem
-    noisy = bound.with_noise(found_noise(bound).scale)
-    noisy = noisy.with_noise(with_effects(noisy, bound.problem).scale)
-    trace = {test.key: np.array([test.p]) for test in score_tests(noisy, bound.problem)}
-    return dataclasses.replace(lm(noisy), trace=trace)
+    fit = with_effects(bound.with_noise(found_noise(bound).scale), bound.problem)
+    result = lm(fit)
+    said = {error.key: error.chance for error in dial_errors(fit, result.x)}
+    said |= {each.key: math.exp(-each.gain) for each in effect_sizes_of(fit, result.x)}
+    said["repeatability"] = 1 / (1 + 1e6 * repeats_to(fit))
+    return dataclasses.replace(lm(bound), trace={key: np.array([value]) for key, value in said.items()})
 
 
-METHODS = {"score tests": Method(chances)}
+WAY = "casacal check"
+METHODS = {WAY: Method(asked)}
 study = Study("powers", {name: Faulty(fault) for name, fault in FAULTS.items()}, METHODS, trials=ARMS, details=0)
 few = {name: Faulty(FAULTS[name]) for name in (NONE, "drift 20 um")}
 quick = dataclasses.replace(study, settings=few, trials=3)
@@ -112,8 +120,10 @@ def report(run: Run) -> list[str]:
         "# How often a fault is noticed",
         "",
         f"Simulated HSR-JR680, three faces, {ROWS} touches, noise 0.01 mm, {run.study.trials} arms for each line.",
-        f"*Noticed*: share of arms in which the fault's own score test has a chance below {LEVEL:g}; *at 5 % of clean",
-        "arms*: the same where the limit is that which 5 % of the clean arms fall below. *Best*: mean power of a test",
+        "*Noticed*: share of arms in which it is said to be there: a log likelihood that gains more than "
+        f"{VERY_STRONG:g}, of the",
+        f"dial a chance below {UNLIKELY:g}. *At 5 % of clean arms*: the same where the limit is that which 5 % of the",
+        "clean arms are beyond. *Best*: mean power at 5 % of a test",
         "that knows what the fault does to every row of that arm, but for size and sign, and of the geometry its",
         "priors alone. Where the fault is random from row to row there is no such shape. *Asked* are the powers that",
         "were set as a target beforehand. Intervals are Clopper and Pearson's.",
@@ -126,14 +136,16 @@ def report(run: Run) -> list[str]:
         fault = FAULTS[name]
         if not fault.key:
             continue
-        plain, level = (_noticed(run, name, limit) for limit in (LEVEL, limit_of(run, fault.key)))
-        best = float(np.mean(run.values(name, "score tests", "most")))
+        plain, level = (
+            _noticed(run, name, limit, fault.key) for limit in (said_at(fault.key), limit_of(run, fault.key))
+        )
+        best = float(np.mean(run.values(name, WAY, "most")))
         asked = "-" if math.isnan(fault.asked) else percent_of(fault.asked)
         rows.append((name, percent(plain), percent(level), "-" if math.isnan(best) else percent_of(best), asked))
     lines += table(("fault", "noticed", "at 5 % of clean arms", "best", "asked"), rows)
-    alarms = [(key, percent(_noticed(run, NONE, LEVEL, key))) for key in (*TESTS, *ROW_FORMS)]
-    return [*lines, "", "## False alarms", "", f"Share of clean arms with a chance below {LEVEL:g}, by test.", "",
-            *table(("test", "alarms"), alarms)]  # fmt: skip
+    alarms = [(key, percent(_noticed(run, NONE, said_at(key), key))) for key in (*DIAL, *EFFECTS)]
+    return [*lines, "", "## False alarms", "", "Share of clean arms of which it is said to be there.", "",
+            *table(("error", "alarms"), alarms)]  # fmt: skip
 
 
 def percent_of(share: float) -> str:
@@ -141,19 +153,24 @@ def percent_of(share: float) -> str:
     return f"{100 * share:.0f} %"
 
 
-TESTS = ("gain", "cycle", "wave1", "wave2", "give", "play", "form", "field", "drift", "growth")
-"""Effects that are tested, by key."""
-ROW_FORMS = ("succession", "neighbours", "repeatability")
-"""Rows that err together or err more, which are tested, too."""
+DIAL = ("gain", "cycle")
+"""Errors of the dial that are tested, by key."""
+EFFECTS = ("wave1", "wave2", "give", "play", "form", "field", "drift", "growth", "repeatability")
+"""Effects by key, and joints that do not repeat."""
+
+
+def said_at(key: str) -> float:
+    """The number below which an error is said to be there."""
+    return UNLIKELY if key in DIAL else 1.0 if key == "repeatability" else math.exp(-VERY_STRONG)
 
 
 def limit_of(run: Run, key: str) -> float:
     """The chance below which 5 % of the clean arms fall."""
-    return float(np.quantile(run.values(NONE, "score tests", key), LEVEL))
+    return float(np.quantile(run.values(NONE, WAY, key), LEVEL))
 
 
-def _noticed(run: Run, setting: str, limit: float, key: str | None = None) -> Interval:
-    found = run.values(setting, "score tests", key or FAULTS[setting].key)
+def _noticed(run: Run, setting: str, limit: float, key: str) -> Interval:
+    found = run.values(setting, WAY, key)
     return success_rate(int((found < limit).sum()), len(found))
 
 
@@ -163,9 +180,10 @@ def draw(run: Run, path: Path) -> None:
     made = figure(7, 0.34 * len(names) + 1.2)
     axes = made.subplots()
     known, best = palette(2)
-    found = [_noticed(run, name, limit_of(run, FAULTS[name].key)).value for name in names]
-    axes.plot([100 * each for each in found], range(len(names)), "o", color=known, label="its own test")
-    most = [100 * float(np.mean(run.values(name, "score tests", "most"))) for name in names]
+    keys = [FAULTS[name].key for name in names]
+    found = [_noticed(run, name, limit_of(run, key), key).value for name, key in zip(names, keys, strict=True)]
+    axes.plot([100 * each for each in found], range(len(names)), "o", color=known, label="as asked")
+    most = [100 * float(np.mean(run.values(name, WAY, "most"))) for name in names]
     axes.plot(most, range(len(names)), "|", ms=12, color=best, label="best")
     axes.set_yticks(range(len(names)), names)
     axes.invert_yaxis()

@@ -36,7 +36,6 @@ from casacal import (
 from casacal.binding.marginal import Marginal
 from casacal.calibration.calibrated import Calibrated
 from casacal.calibration.verdict import verdict_of
-from casacal.compensation.predict import predict
 from casacal.samples.holdout import split
 from casacal.study.statistics import mean_interval
 from casacal.uncertainty.workspace import rigid_fields, tip_stds
@@ -75,7 +74,7 @@ class Tracked:
 
     def promised(self, found: Calibrated) -> float:
         """Standard deviation (mm RMS) that a result has of the same, reflector and station fitted."""
-        poses = predict(found.arm, self.joints).poses
+        poses = found.predict(self.joints, force=True).poses
         motion, x = found.unjudged.motion, found.unjudged.used_x
         columns = motion.arm.shared if isinstance(motion.arm, Marginal) else np.arange(x.size)
         reflector = self.fitted(poses)[1]
@@ -156,7 +155,7 @@ def _told(bound: BoundProblem, discrepancy: Literal["kit", "none"] | None) -> Re
     trace = {"level": level, "corrected": len(found.corrected)}
     for name, seen in tracked(bound.problem).items():
         # refused results too are judged
-        poses = predict(found.arm, seen.joints, nominal=discrepancy is None).poses
+        poses = found.predict(seen.joints, nominal=discrepancy is None, force=True).poses
         trace[name] = seen.fitted(poses)[0]
         trace[f"promised_{name}"] = math.nan if discrepancy is None else seen.promised(found)
     kept = {name: np.array([value], dtype=np.float64) for name, value in trace.items()}

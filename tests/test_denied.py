@@ -13,7 +13,7 @@ import pytest
 from seals import resealed
 
 import casacal
-from casacal import BoundProblem, CasacalError, RefusedResultWarning, calibrate
+from casacal import BoundProblem, CasacalError, RefusedResultError, calibrate
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.result_json import calibration_document
 from casacal.calibration.verdict import verdict_of
@@ -168,7 +168,7 @@ def test_nor_does_any_attribute(denied):
 
 WITHHELD = {
     *("passed", "tip_std", "flange_std", "tip_std_without_prior", "tip_from_minimum", "covariance", "cures"),
-    *("identifiability", "left_out", "sensitivity", "score_tests", "motion"),
+    *("identifiability", "left_out", "sensitivity", "motion"),
 }
 
 
@@ -189,7 +189,7 @@ def test_nor_does_the_object(denied):
     assert found.parameters["std"][found.parameters["known_from"] != "held"].isna().all()
     assert "tip error" not in repr(found)
     with pytest.raises(CasacalError, match="no standard deviations"):
-        found.predict(np.zeros(4), std=True)
+        found.predict(np.zeros(4), std=True, force=True)
     asked = {
         "predict": lambda **drawn: found.predict(np.zeros(4), **drawn),
         "values": found.values,
@@ -197,9 +197,9 @@ def test_nor_does_the_object(denied):
         "tip": found.tip_function,
     }
     for ask in asked.values():
-        with pytest.warns(RefusedResultWarning, match="Do not use this result") as told:
+        with pytest.raises(RefusedResultError, match=r"Do not use this result.*force=True"):
             ask()
-        assert told[0].filename == __file__
+        ask(force=True)
         ask(nominal=True)  # what is drawn needs no verdict
     found.pose_function(free=True)
     with pytest.raises(CasacalError, match=r"Do not use.*force"):
@@ -269,10 +269,12 @@ def test_compensated_targets_say_so_when_forced(denied, tmp_path, capsys):
     assert (tmp_path / "csv").read_text().splitlines()[-1].endswith(",")  # nothing is expected
     capsys.readouterr()
     predict = ["predict", result, str(targets), "--out", str(tmp_path / "p.csv")]
-    for forced, code in (([], 1), (["--force"], 0)):
-        assert main([*predict, *forced]) == code
-        assert "Do not use" in capsys.readouterr().out
-        assert "# WARNING, against the verdict: Do not use" in (tmp_path / "p.csv").read_text()
+    assert main(predict) == 1
+    assert "Do not use" in capsys.readouterr().err
+    assert not (tmp_path / "p.csv").exists()
+    assert main([*predict, "--force"]) == 0
+    assert "Do not use" in capsys.readouterr().out
+    assert "# WARNING, against the verdict: Do not use" in (tmp_path / "p.csv").read_text()
     assert main([*predict, "--nominal"]) == 0
     assert "WARNING" not in (tmp_path / "p.csv").read_text(), "the drawn arm is no result"
     assert main(["verify", result, str(folder / "samples.csv")]) == 2

@@ -17,7 +17,7 @@ from casacal.calibration.calibration import Calibration
 from casacal.calibration.motion import Motion
 from casacal.calibration.pictures import plot_convergence, plot_residuals, plot_tip_std
 from casacal.calibration.result_json import calibration_document, write_calibration
-from casacal.calibration.result_parts import parameter_rows, without_motion, without_predictions, without_tips
+from casacal.calibration.result_parts import parameter_rows, without_predictions, without_tips
 from casacal.calibration.saved import AsArm, parameter_table
 from casacal.calibration.sensitivity import Sensitivity
 from casacal.calibration.summary import summary
@@ -29,7 +29,6 @@ from casacal.planning.cures import Cure
 from casacal.uncertainty.expectation import Box
 from casacal.uncertainty.identifiability import Identifiability
 from casacal.uncertainty.prior_moves import PriorMoves
-from casacal.uncertainty.scores import ScoreTest
 from casacal.uncertainty.transfer import LeftOut
 
 if TYPE_CHECKING:
@@ -100,8 +99,6 @@ class Calibrated(Calibration, AsArm):
     """Each fitted face as the others predict it; the prediction is NaN where the verdict denies figures."""
     sensitivity: Sensitivity = _governed(Sensitivity.without_tips)
     """How the estimate follows readings and priors; what they do to the tip is NaN where the verdict denies figures."""
-    score_tests: tuple[ScoreTest, ...] = _governed(without_motion)
-    """What arm and cell may do beside their geometry; to the tip it is NaN where the verdict denies figures."""
 
     @property
     def x(self) -> Array:

@@ -20,6 +20,7 @@ from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.least_squares.result import Result
 from casacal.planning.cures import Cure, cure_for, cures
+from casacal.uncertainty.beside_geometry import DialError, EffectSize, dial_errors, effect_sizes_of
 from casacal.uncertainty.discrepancy import errors_are_shared
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
 from casacal.uncertainty.identifiability import (
@@ -31,7 +32,6 @@ from casacal.uncertainty.identifiability import (
 )
 from casacal.uncertainty.noise import noise_over_stated
 from casacal.uncertainty.prior_moves import PriorMoves, prior_moves
-from casacal.uncertainty.scores import ScoreTest
 from casacal.uncertainty.workspace import tip_rms, tip_stds, tool_unknowns, without_rigid, workspace_joints
 
 HARMLESS = 0.01  # tip motion (mm under the prior) below which an unseen direction needs no cure
@@ -198,13 +198,14 @@ class Calibration(Fitted):
         return sensitivity(self.fit, self.result, field)
 
     @cached_property
-    def score_tests(self) -> tuple[ScoreTest, ...]:
-        """Whether the rows show what arm and cell may do beside their geometry; none where that was not asked for."""
-        from casacal.uncertainty.score_tests import score_tests  # scipy's sparse matrices take their time
+    def effect_sizes(self) -> tuple[EffectSize, ...]:
+        """What arm and cell do beside their geometry, the likeliest first; none where that was not asked for."""
+        return effect_sizes_of(self.fit, self.result.x)
 
-        if not any(self.fit.beside):
-            return ()
-        return score_tests(self.weighed, self.fit.problem)
+    @cached_property
+    def dial_errors(self) -> tuple[DialError, ...]:
+        """Whether the rows show an error of the dial that nobody declared; none where effects were not asked for."""
+        return dial_errors(self.fit, self.result.x) if any(self.fit.beside) else ()
 
     @cached_property
     def prior_moves(self) -> PriorMoves:

@@ -15,6 +15,7 @@ from casacal.discrepancy.effect import Site
 from casacal.estimators import lm
 from casacal.least_squares.restricted import Restricted
 from casacal.least_squares.result import Result
+from casacal.uncertainty.beside_geometry import VERY_STRONG
 from casacal.uncertainty.discrepancy import at_most
 from casacal.uncertainty.expectation import expected_accuracy
 from casacal.uncertainty.transfer import MOST_ROWS, gains, in_sample_gains
@@ -130,11 +131,6 @@ def tip_extremes(motion: Motion, workspace: tuple[Array, Array, Array]) -> tuple
     moved = without_rigid((tips - motion.arm.tips(motion.arm.x0, joints)).ravel(), tips).reshape(-1, 3)
     stds = tip_stds(motion.covariance, without_rigid(slopes, tips), motion.off)
     return float(np.linalg.norm(moved, axis=1).max()), float(np.linalg.norm(stds, axis=1).max())
-
-
-VERY_STRONG = 5.0
-"""Logarithm of a ratio of densities from which evidence is called very strong (Kass and Raftery, Journal of the
-American Statistical Association 90, 1995, section 3.2: 2 ln B above 10)."""
 
 
 @dataclass(frozen=True, eq=False)

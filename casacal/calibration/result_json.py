@@ -48,7 +48,6 @@ def calibration_document(
     denied = verdict.level == "do not use"
     pairs = [] if denied else correlated_pairs(calibration.covariance, calibration.seen.names)
     left_out = parts.without_predictions(calibration.left_out) if denied else calibration.left_out
-    tests = parts.without_motion(calibration.score_tests) if denied else calibration.score_tests
     document = {
         **parts.head_of(source or calibration.source, result, calibration.seed, fit.backend, folder),
         "verdict": asdict(verdict),
@@ -74,7 +73,7 @@ def calibration_document(
         "discrepancy": parts.discrepancy_part(calibration, denied=denied),
         "identifiability": parts.what_is_seen(calibration, denied=denied),
         "cures": [] if denied else parts.cures_part(calibration),
-        "score_tests": [asdict(test) | {"shown": test.shown} for test in tests],
+        "dial_errors": [parts.dial_error_part(error) for error in calibration.dial_errors],
         "correlations": [{"names": [one, two], "value": value} for one, two, value in pairs],
         **parts.spreads(None if denied else calibration.covariance, calibration.seen.names, fit),
         "warnings": warnings(calibration),

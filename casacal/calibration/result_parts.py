@@ -28,9 +28,8 @@ from casacal.errors import CasacalError
 from casacal.least_squares.result import Result
 from casacal.problem.as_data import problem_data
 from casacal.problem.problem_file import ProblemFile
-from casacal.uncertainty.discrepancy import times_found
+from casacal.uncertainty.beside_geometry import DialError
 from casacal.uncertainty.identifiability import Identifiability, known_from
-from casacal.uncertainty.scores import ScoreTest
 from casacal.uncertainty.transfer import LeftOut
 from casacal.version import __version__
 
@@ -47,11 +46,6 @@ def without_tips(found: Identifiability) -> Identifiability:
 def without_predictions(faces: Sequence[LeftOut]) -> tuple[LeftOut, ...]:
     """The same faces, without what the others predict of them: NaN, and so their ratio."""
     return tuple(replace(each, predicted_mm=math.nan) for each in faces)
-
-
-def without_motion(tests: Sequence[ScoreTest]) -> tuple[ScoreTest, ...]:
-    """The same tests, without what the effects do to the tip: NaN."""
-    return tuple(replace(each, tip_mm=math.nan) for each in tests)
 
 
 def head_of(source: ProblemFile, result: Result, seed: int, backend: str, folder: Path | None) -> dict[str, Any]:
@@ -140,12 +134,11 @@ def discrepancy_part(calibration: Calibration, *, denied: bool = False) -> dict[
     fit, motion = calibration.fit, calibration.motion
     if not any(fit.beside):
         return None
-    effects, found = [], times_found(fit)
-    for effect in fit.problem.effects:
-        if (times := found.get(effect.key)) is not None:
-            unit = effect.unit or fit.units[fit.beside.index(effect.key)]
-            size = {"unit": unit, "expected_size": effect.size, "size": effect.size * times, "times": times}
-            effects.append({"key": effect.key, "words": effect.words, "moves": effect.moves, **size})
+    moves = {effect.key: effect.moves for effect in fit.problem.effects}
+    effects = [
+        {**asdict(each), "shown": each.shown, "moves": moves[each.key], "times": each.size / each.expected_size}
+        for each in calibration.effect_sizes
+    ]
     places = {name: j for j, name in enumerate(fit.names)}
     unknowns = [
         {"name": name, "effect": beside, "value": float(calibration.result.x[places[name]])}
@@ -165,6 +158,11 @@ def discrepancy_part(calibration: Calibration, *, denied: bool = False) -> dict[
         error = math.nan if denied else tip_error(fit, calibration.result, ())
         parts["expected_rms_mm_without_corrections"] = error
     return {**parts, **known, **told}
+
+
+def dial_error_part(error: DialError) -> dict[str, Any]:
+    """An error of the dial that nobody declared, and whether the rows show it."""
+    return {**_parts(error, "key", "words", "chance", "size", "unit"), "shown": error.shown}
 
 
 def what_is_seen(calibration: Calibration, *, denied: bool = False) -> dict[str, Any]:

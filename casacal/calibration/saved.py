@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ import casadi as ca
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.result_file import read_result
-from casacal.errors import CasacalError, RefusedResultWarning, came
+from casacal.errors import CasacalError, came
 from casacal.problem.problem import Problem
 from casacal.values import Value
 
@@ -34,18 +33,18 @@ class AsArm(ABC):
     def arm(self) -> CalibratedArm:
         """The problem and the estimate."""
 
-    def _answering(self, *, drawn: bool = False) -> CalibratedArm:
-        """The arm, with a warning where its verdict is not to use it, unless only what is drawn is asked for."""
-        if not drawn and (words := self.arm.denial) is not None:
-            warnings.warn(words, RefusedResultWarning, stacklevel=3)
-        return self.arm
-
     def to_dict(self) -> dict[str, Any]:
         """All that result.json holds, in JSON's own types."""
         return dict(self.arm.document)
 
     def predict(
-        self, q: Any, *, frame: Literal["flange", "tip"] = "flange", nominal: bool = False, std: bool = False
+        self,
+        q: Any,
+        *,
+        frame: Literal["flange", "tip"] = "flange",
+        nominal: bool = False,
+        std: bool = False,
+        force: bool = False,
     ) -> Prediction:
         """Where the calibrated arm is.
 
@@ -54,22 +53,19 @@ class AsArm(ABC):
             frame: "flange" is `robot.pose`, "tip" where the instrument touches.
             nominal: the arm as drawn in place of the calibrated one.
             std: whether to add standard deviations, apart from the position of the base.
+            force: take a result whose verdict is not to use it.
 
         Returns:
             Positions (N, 3) in mm and unit quaternions (N, 4; w, x, y, z) in the base frame, and standard deviations
             (N,) in mm where asked for. The quaternions are those of the flange for both frames.
 
-        Warns (`RefusedResultWarning`) where the verdict is not to use the result, as `values` and functions do. Raises
-        CasacalError for joint values that do not fit, and as `casacal.compensation.predict` does.
+        Raises RefusedResultError for a result that is not to be used, unless forced, and CasacalError for joint values
+        that do not fit, and as `casacal.compensation.predict` does.
 
         """
         from casacal.compensation.predict import predict
-        from casacal.compensation.told import told_despite
 
-        found = predict(self.arm, q, frame=frame, nominal=nominal, std=std)
-        if not nominal and (words := told_despite(self.arm, found.missing).denial) is not None:
-            warnings.warn(words, RefusedResultWarning, stacklevel=2)
-        return found
+        return predict(self.arm, q, frame=frame, nominal=nominal, std=std, force=force)
 
     def compensate(
         self,
@@ -145,38 +141,43 @@ class AsArm(ABC):
 
         return export(self.arm, form, path, source=source, prefix=prefix, force=force)
 
-    def pose_function(self, *, nominal: bool = False, free: bool = False) -> ca.Function:
+    def pose_function(self, *, nominal: bool = False, free: bool = False, force: bool = False) -> ca.Function:
         """Function q (n; rad, mm) -> flange pose (4x4; mm) for SX, MX, `casadi.Opti` and code generation.
 
         Args:
             nominal: the arm as drawn in place of the calibrated one.
             free: the robot's parameters are inputs too, by name: `pose(**calibration.values(), q=q)["pose"]`.
+            force: take a result whose verdict is not to use it; the function's name then says so.
 
-        Derivatives are exact, as those of every `casadi.Function`. Raises CasacalError for nominal and free together.
+        Derivatives are exact, as those of every `casadi.Function`. Raises CasacalError for nominal and free together,
+        and RefusedResultError for a result that is not to be used, unless forced.
 
         """
         from casacal.export.functions import pose_function
 
-        return pose_function(self._answering(drawn=nominal or free), nominal=nominal, free=free)
+        return pose_function(self.arm, nominal=nominal, free=free, force=force)
 
-    def tip_function(self, *, nominal: bool = False, free: bool = False) -> ca.Function:
+    def tip_function(self, *, nominal: bool = False, free: bool = False, force: bool = False) -> ca.Function:
         """Function q (n; rad, mm) -> tip (3; mm), where the instrument touches at reading zero.
 
-        nominal, free, errors: as for `pose_function`; free also what the tip depends on of instrument and columns.
-        Raises ProblemError where there are several instruments.
+        nominal, free, force, errors: as for `pose_function`; free also what the tip depends on of instrument and
+        columns. Raises ProblemError where there are several instruments.
         """
         from casacal.export.functions import tip_function
 
-        return tip_function(self._answering(drawn=nominal or free), nominal=nominal, free=free)
+        return tip_function(self.arm, nominal=nominal, free=free, force=force)
 
-    def values(self, *, frame: Literal["flange", "tip"] = "flange", nominal: bool = False) -> dict[str, Array]:
+    def values(
+        self, *, frame: Literal["flange", "tip"] = "flange", nominal: bool = False, force: bool = False
+    ) -> dict[str, Array]:
         """Values of the parameters by name, mm and rad, as functions with free parameters take them.
 
-        frame: "flange" for `pose_function`, "tip" for `tip_function`. nominal: as drawn.
+        frame: "flange" for `pose_function`, "tip" for `tip_function`. nominal: as drawn. force: take a result whose
+        verdict is not to use it; else RefusedResultError is raised for such a one.
         """
         from casacal.export.functions import values_of
 
-        return values_of(self._answering(drawn=nominal), frame=frame, nominal=nominal)
+        return values_of(self.arm, frame=frame, nominal=nominal, force=force)
 
 
 def parameter_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:

@@ -37,7 +37,7 @@ def summary(calibration: Calibration, name: str) -> str:
         _parameters(calibration, denied),
         _blind_spots(calibration, denied),
         "" if denied else _next_steps(calibration),
-        _beside(calibration, denied),
+        _beside(calibration),
         _reference(calibration),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -147,13 +147,13 @@ def _next_steps(calibration: Calibration) -> str:
     return "\n".join([table.text(), *planned, *filter(None, [nothing_helps(calibration)])])
 
 
-def _beside(calibration: Calibration, denied: bool) -> str:
-    """What the rows show beside the geometry; the likeliest first, and how many more were looked for."""
-    table = tables.effects(calibration, denied=denied)
+def _beside(calibration: Calibration) -> str:
+    """What the rows show beside the geometry, and what became of each correction that was tried."""
+    table = tables.effects(calibration)
     if not table.rows:
         return ""
-    shown = [row for row in table.rows if row[1] != "no"]
-    lines = ["Errors beside the geometry (each as if it were the only one):"]
+    shown = [row for row in table.rows if row[1] == "yes"]
+    lines = ["Errors beside the geometry:"]
     lines += [replace(table, rows=shown).text()] if shown else []
     left = len(table.rows) - len(shown)
     lines.append(f"{left}{' more' if shown else ''} looked for and not found; result.json lists them all.")

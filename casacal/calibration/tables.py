@@ -15,7 +15,6 @@ from casacal.calibration.motion import tip_error
 from casacal.calibration.result_parts import parameter_rows, without_predictions
 from casacal.pages.render import fixed, mm, shortened, shown_unit
 from casacal.uncertainty.identifiability import NullDirection, WeakDirection, correlated_pairs
-from casacal.uncertainty.scores import ScoreTest
 from casacal.wording import capital, listed, sized
 
 LONGEST = 60  # characters of a face's name
@@ -125,31 +124,24 @@ def directions(calibration: Calibration, *, denied: bool) -> tuple[Table, list[s
     return Table(["What changes unseen", "Kind", "#At the tip, mm", "Cure"], costly), harmless
 
 
-def effects(calibration: Calibration, *, denied: bool) -> Table:
-    """A line for each effect beside the geometry, the likeliest first."""
-    rows = []
-    for test in calibration.score_tests:
-        size, at_tip = size_words(calibration.unjudged, test)
-        tip = "–" if denied or at_tip == "-" else at_tip
-        usual = sized(test.expected_size, test.unit) if math.isfinite(test.expected_size) else "-"
-        rows.append([capital(test.words), test.shown, f"{test.p_holm:.2g}", size, usual, tip])
-    titles = ("Effect", "Shown by the samples", "#p", "#Most likely size", "#Usual size", "#At the tip, RMS")
+def effects(calibration: Calibration) -> Table:
+    """A line for each effect beside the geometry, the likeliest first, and for errors of the dial that rows show."""
+    corrected = set(calibration.corrected)
+    rows = [
+        [
+            capital(each.words),
+            "yes" if each.shown else "no",
+            f"{each.gain:.1f}",
+            sized(each.size, each.unit),
+            sized(each.expected_size, each.unit),
+            "yes" if each.key in corrected else "no",
+        ]
+        for each in calibration.effect_sizes
+    ]
+    dial = [error for error in calibration.dial_errors if error.shown]
+    rows = [[capital(error.words), "yes", "–", error.shown_size, "–", "no"] for error in dial] + rows
+    titles = ("Effect", "Shown by the samples", "#Gain", "#Most likely size", "#Usual size", "Corrected")
     return Table(titles, rows)
-
-
-def size_words(calibration: Calibration, test: ScoreTest) -> tuple[str, str]:
-    """Size of an effect and its tip error as people read them; no number where it is larger than can be believed.
-
-    Each is worked out as if the effect were the only one. Where the geometry takes up most of it, that says nothing:
-    what moves the arm is then shown as beyond the most that is accepted, what does not as beyond the residuals.
-    """
-    drawn = calibration.metrics["before"]["fit"]
-    assert drawn is not None
-    effect = next((each for each in calibration.fit.problem.effects if each.key == test.key and each.moves), None)
-    most = effect.most * effect.size if effect is not None else drawn["rmse_mm"] if test.unit == "mm" else math.inf
-    if test.size > most:
-        return f"over {sized(most, test.unit)}", "-"
-    return test.shown_size, wording.mm(test.tip_mm) if test.tip_mm < calibration.tip_std[0] else "-"
 
 
 def corrected_words(calibration: Calibration) -> list[str]:

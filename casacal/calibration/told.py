@@ -16,7 +16,7 @@ from casacal.calibration.verdict import Verdict, verdict_of
 from casacal.discrepancy.effect import Site
 from casacal.wording import listed, lower
 
-OF_ROWS = ("plain", "data_errors", "plain_errors", "score_tests")
+OF_ROWS = ("plain", "data_errors", "plain_errors", "effect_sizes", "dial_errors")
 """Figures that take fits and do not depend on what is corrected."""
 
 

@@ -13,7 +13,6 @@ from casacal.calibration.motion import tip_extremes
 from casacal.uncertainty.discrepancy import at_most, errors_are_shared
 from casacal.uncertainty.joint_repeatability import is_usual, repeats_to
 from casacal.uncertainty.prior_moves import prior_scatter
-from casacal.uncertainty.scores import CLEAR
 from casacal.uncertainty.workspace import spread_rms
 from casacal.wording import capital, chance, listed, lower, mm, shortened, sized, times
 
@@ -23,7 +22,6 @@ TOO_TIGHT = 1e-4  # chance of moves as large as these, all together, below which
 SETTLED = 0.1  # expected tip error over that before, below which the samples decide, however loose the priors
 
 SHOWN = 6
-OF_THE_DIAL = ("gain", "cycle")  # keys of the tests of a dial's own errors; they are made where these are no unknowns
 
 
 def warnings(calibration: Calibration) -> list[str]:
@@ -220,11 +218,10 @@ def _effects_left_out(calibration: Calibration) -> Doubt | None:
 
 def _dial_is_off(calibration: Calibration) -> Doubt | None:
     """The rows show an error of the dial that the problem does not know, and it bends the arm by more than promised."""
-    tests = (test for test in calibration.score_tests if test.key in OF_THE_DIAL)
-    shown = [test for test in tests if test.p_holm < CLEAR and test.tip_mm > calibration.tip_std[1]]
+    shown = [error for error in calibration.dial_errors if error.shown and error.tip_mm > calibration.tip_std[1]]
     if not shown:
         return None
-    worst = max(shown, key=lambda test: test.tip_mm)
+    worst = max(shown, key=lambda error: error.tip_mm)
     return Doubt(
         f"the rows show an undeclared {worst.words}",
         f"The rows show a {worst.words} of about {worst.shown_size}. The problem does not declare it, and it changes "

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 
 from casacal.cli.common import DONE, FAILED, FORCE, INSTRUMENT, JSON, RESULT, add, add_frame, read_arm
-from casacal.cli.terminal import say_json, say_paragraphs
+from casacal.cli.terminal import complain, say_json, say_paragraphs
+from casacal.errors import RefusedResultError
 from casacal.wording import listed
 
 HELP = "predict poses of the calibrated arm"
@@ -16,8 +17,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Write the pose x_mm,y_mm,z_mm,qw,qx,qy,qz of a calibrated arm at each row of joint values, in the base frame. "
         "The flange is what robot.pose of the problem gives; the tip is where the instrument touches, including tool "
-        "and, where JOINTS has that column, the reading. Exit 1 for a result that must not be used, unless --force is "
-        "given."
+        "and, where JOINTS has that column, the reading. Exit 1, and no file, for a result that must not be "
+        "used, unless --force is given."
     )
     add(parser, *RESULT)
     add(parser, *INSTRUMENT)
@@ -37,10 +38,15 @@ def run(options: argparse.Namespace) -> int:
 
     result = read_arm(options, options.joints)
     joints = read_joints(options.joints, result.source)
-    prediction = predict(result, joints, frame=options.frame, nominal=options.nominal, std=options.std)
+    try:
+        prediction = predict(
+            result, joints, frame=options.frame, nominal=options.nominal, std=options.std, force=options.force
+        )
+    except RefusedResultError as refused:
+        complain(str(refused))
+        return FAILED
     count, used = len(prediction.positions), told_despite(result, prediction.missing)
-    refused = None if options.nominal else used.denial
-    write_prediction(options.out, prediction, [] if refused is None else [f"WARNING, against the verdict: {refused}"])
+    write_prediction(options.out, prediction)
     if options.json:
         said = {
             "unseen": list(prediction.unseen),
@@ -63,4 +69,4 @@ def run(options: argparse.Namespace) -> int:
             )
         if (words := used.denial or used.caution) is not None and not options.nominal:
             say_paragraphs(words)
-    return DONE if refused is None or options.force else FAILED
+    return DONE

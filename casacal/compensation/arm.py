@@ -14,7 +14,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.discrepancy import LinkSag
-from casacal.errors import CasacalError
+from casacal.errors import CasacalError, RefusedResultError
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
 from casacal.unknowns import Parameter
@@ -84,11 +84,11 @@ class CalibratedArm(Value):
         return self.verdict["words"] if self.verdict and self.verdict["level"] == "use with care" else None
 
     def check_usable(self, *, force: bool) -> None:
-        """Raise CasacalError for a result whose verdict is not to use it, unless that is wanted all the same."""
+        """Raise RefusedResultError for a result whose verdict is not to use it, unless that is wanted all the same."""
         if self.denial is not None and not force:
             fix = "Mend what the verdict names and calibrate again; "
             fix += "--force (force=True) uses it all the same, and says so"
-            raise CasacalError(f"{self.file}: {self.denial.removesuffix('.')}", fix)
+            raise RefusedResultError(f"{self.file}: {self.denial.removesuffix('.')}", fix)
 
     def __repr__(self) -> str:
         return f"<CalibratedArm {self.source.problem.robot.name} of {self.file}, by {self.document.get('method')}>"

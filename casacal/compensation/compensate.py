@@ -184,7 +184,7 @@ def _proof(
     if sound.size:
         samples = rows_with(targets, sound, joints[sound])
         # nothing is expected of a result that is not to be used
-        prediction = predict(result, samples, frame=arm.frame, std=not denied)
+        prediction = predict(result, samples, frame=arm.frame, std=not denied, force=True)
         turns = Rotation.from_quat(np.roll(prediction.quaternions, -1, axis=1)).as_matrix()
         place[sound] = np.linalg.norm(prediction.positions - positions[sound], axis=1)
         turn[sound] = np.linalg.norm(turning(turns @ rotations[sound].transpose(0, 2, 1)), axis=1)

@@ -32,7 +32,8 @@ class Prediction(Value):
     `std` (N,) is the standard deviation of the position, mm, its three axes together, apart from where the base
     stands; or None. unseen: sessions for which a dial was set to zero that the result has not seen: taken as not moved.
     missing: by the words of an effect that columns tell, those of them that the rows lack, so that it is not corrected.
-    beyond: a sentence for each such column that is far from what it was in the fitted rows.
+    beyond: a sentence for each such column that is far from what it was in the fitted rows. denial: the verdict
+    where it is not to use the result, and these numbers were asked for all the same; else None.
     """
 
     positions: Array
@@ -41,6 +42,7 @@ class Prediction(Value):
     unseen: tuple[str, ...] = ()
     missing: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     beyond: tuple[str, ...] = ()
+    denial: str | None = None
 
     def __post_init__(self) -> None:
         frozen((self.positions, self.quaternions, self.std))
@@ -60,7 +62,8 @@ class Prediction(Value):
 
     def __repr__(self) -> str:
         spread = "" if self.std is None else f", standard deviation up to {self.std.max(initial=0.0):.3g} mm"
-        return f"<{len(self)} predicted poses{spread}>"
+        against = "" if self.denial is None else ", against the verdict"
+        return f"<{len(self)} predicted poses{spread}{against}>"
 
 
 def read_joints(path: str | Path, source: ProblemFile) -> Samples:
@@ -104,6 +107,7 @@ def predict(
     frame: Literal["flange", "tip"] = "flange",
     nominal: bool = False,
     std: bool = False,
+    force: bool = False,
 ) -> Prediction:
     """Pose of the flange, or position of the tip with the flange's orientation, at each row.
 
@@ -116,13 +120,15 @@ def predict(
             tool's point as the problem declares it.
         nominal: use nominal values instead of the estimate.
         std: whether to add standard deviations.
+        force: take a result whose verdict is not to use it.
 
     Returns:
         Positions (N, 3) in mm and unit quaternions (N, 4; w, x, y, z) in the base frame, and standard deviations (N,)
         in mm where asked for. The quaternions are those of the flange for both frames.
 
-    Raises CasacalError for standard deviations of the nominal arm, of a result that holds no covariance, or of one that
-    is not to be used, and for readings of a dial of which no row says when it was set to zero.
+    Raises RefusedResultError for a result that is not to be used, unless forced. Raises CasacalError for standard
+    deviations of the nominal arm, of a result that holds no covariance, or of one that is not to be used, and for
+    readings of a dial of which no row says when it was set to zero.
 
     """
     from scipy.spatial.transform import Rotation
@@ -132,7 +138,8 @@ def predict(
     if frame not in FRAMES:
         raise UnknownNameError("frame", str(frame), FRAMES)
     told = Told(result, NOTHING_TOLD) if nominal else Told.by(result, joints)
-    result = told.arm
+    result, denial = told.arm, None if nominal else told.arm.denial
+    result.check_usable(force=force or nominal)
     problem = result.source.problem.without_effects if nominal else result.used
     model, instrument = problem.model, problem.instrument
     z = local_coordinates(result, nominal=nominal, of=problem)
@@ -157,12 +164,13 @@ def predict(
         if nominal:
             raise CasacalError("The nominal arm has no standard deviation", "Leave out --nominal or --std")
         spread = position_stds(result, data[:, :known], frame, zeros, told.columns)
-    return Prediction(positions, np.roll(xyzw, 1, axis=1), spread, unseen, told.missing, told.beyond)
+    return Prediction(positions, np.roll(xyzw, 1, axis=1), spread, unseen, told.missing, told.beyond, denial)
 
 
-def write_prediction(path: str | Path, prediction: Prediction, remarks: Sequence[str] = ()) -> None:
-    """Write x_mm,y_mm,z_mm,qw,qx,qy,qz, and std_mm where there is one; one row per pose, below remarks."""
-    lines = [f"# predicted, {MADE}: poses in the base frame", *(f"# {remark}" for remark in remarks)]
+def write_prediction(path: str | Path, prediction: Prediction) -> None:
+    """Write x_mm,y_mm,z_mm,qw,qx,qy,qz, and std_mm where there is one; one row per pose, below a verdict against it."""
+    lines = [f"# predicted, {MADE}: poses in the base frame"]
+    lines += [] if prediction.denial is None else [f"# WARNING, against the verdict: {prediction.denial}"]
     lines += ["x_mm,y_mm,z_mm,qw,qx,qy,qz" + (",std_mm" if prediction.std is not None else "")]
     for i, (place, turn) in enumerate(zip(prediction.positions, prediction.quaternions, strict=True)):
         cells = [f"{v:.6f}" for v in place] + [f"{v:.12f}" for v in turn]

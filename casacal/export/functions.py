@@ -19,25 +19,26 @@ from casacal.problem.compile import row_function
 from casacal.problem.problem import Problem
 
 
-def pose_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = False) -> ca.Function:
+def pose_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = False, force: bool = False) -> ca.Function:
     """Function q (n; rad, mm) -> flange pose (4x4; mm) of an arm as calibrated.
 
     Where columns tell effects that can then be corrected, such as torques, their values are a second input, `told`
     (k), in the order of `told_names`. nominal: as drawn in place of as calibrated. free: the robot's parameters are
     inputs too, by name and before q; `values_of` gives what they are. Effects beside the geometry are then no part.
+    force: take a result whose verdict is not to use it; the function's name then says so.
 
-    Raises CasacalError when both nominal and free are asked for.
+    Raises CasacalError when both nominal and free are asked for, RefusedResultError for a result not to be used.
     """
     _check(nominal, free)
     arm = arm_from(arm)
     problem = arm.source.problem
     if free:
-        return problem.symbols_of(0).value_functions["pose"]
+        return problem.without_effects.symbols_of(0).value_functions["pose"]
     q = ca.SX.sym("q", len(problem.robot.axes))
     if nominal:
         return row_function("pose", [q], [ca.SX(problem.robot.pose(arm_values(arm, nominal=True), q))], ["q"])
-    inputs = inputs_of(arm, q)
-    return row_function("pose", [*inputs.values()], [pose_at(arm, *inputs.values())], [*inputs])
+    inputs, name = inputs_of(arm, q), _name("pose", arm, force=force)
+    return row_function(name, [*inputs.values()], [pose_at(arm, *inputs.values())], [*inputs])
 
 
 def told_names(arm: CalibratedArm) -> tuple[str, ...]:
@@ -75,10 +76,10 @@ def pose_at(arm: CalibratedArm, q: ca.SX, told: ca.SX | None = None) -> ca.SX:
     return ca.reshape(problem.symbols.functions["pose"](z, c, _row(arm, problem, q, told)), 4, 4)
 
 
-def tip_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = False) -> ca.Function:
+def tip_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = False, force: bool = False) -> ca.Function:
     """Function q (n; rad, mm) -> tip (3; mm), where the instrument touches at reading zero; `told` as there.
 
-    nominal, errors: as for `pose_function`; ProblemError where there are several instruments. free: what the tip
+    nominal, force, errors: as for `pose_function`; ProblemError where there are several instruments. free: what the tip
     depends on of the robot's parameters, the instrument's unknowns and the columns are inputs too, by name.
     """
     _check(nominal, free)
@@ -93,17 +94,24 @@ def tip_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fals
         d = _row(arm, problem, **inputs)
     z = local_coordinates(used, nominal=nominal, of=problem)
     tip = problem.symbols.functions["tip"](z, ca.DM(row_constants(used, problem)), d)
-    return row_function("tip", [*inputs.values()], [tip], [*inputs])
+    name = "tip" if nominal else _name("tip", arm, force=force)
+    return row_function(name, [*inputs.values()], [tip], [*inputs])
 
 
 def values_of(
-    arm: CalibratedArm, *, frame: Literal["flange", "tip"] = "flange", nominal: bool = False
+    arm: CalibratedArm,
+    *,
+    frame: Literal["flange", "tip"] = "flange",
+    nominal: bool = False,
+    force: bool = False,
 ) -> dict[str, Array]:
     """Values by name for the parameters that are free in `pose_function` or, with frame "tip", in `tip_function`.
 
-    Numbers are (n,), frames (4, 4); mm and rad. Raises CasacalError where the tip depends on what differs by label.
+    Numbers are (n,), frames (4, 4); mm and rad. force: take a result whose verdict is not to use it. Raises
+    RefusedResultError for such a one, and CasacalError where the tip depends on what differs by label.
     """
     arm = arm_from(arm)
+    arm.check_usable(force=force or nominal)
     problem = arm.source.problem
     if frame == "flange":
         known = arm_values(arm, nominal=nominal)
@@ -126,11 +134,18 @@ def casadi_text(arm: CalibratedArm) -> str:
     """
     arm = arm_from(arm)
     inputs = inputs_of(arm, ca.SX.sym("q", len(arm.source.problem.robot.axes)))
-    name = "pose" if where_told(arm).denial is None else "pose_forced_against_the_verdict"
-    made = ca.Function(name, [*inputs.values()], [pose_function(arm)(*inputs.values())], [*inputs], ["pose"])
+    made = pose_function(arm, force=True)
+    made = ca.Function(made.name(), [*inputs.values()], [made(*inputs.values())], [*inputs], ["pose"])
     with tempfile.TemporaryDirectory() as folder:
         made.save(str(Path(folder) / "arm"))
         return (Path(folder) / "arm").read_text(encoding="ascii")
+
+
+def _name(name: str, arm: CalibratedArm, *, force: bool) -> str:
+    """The name of a function of the arm as calibrated; raises RefusedResultError for one not to be used."""
+    used = where_told(arm)
+    used.check_usable(force=force)
+    return name if used.denial is None else f"{name}_forced_against_the_verdict"
 
 
 def _check(nominal: bool, free: bool) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 from scipy.stats import binomtest, wilcoxon
 
 from casacal.array_types import Array
-from casacal.uncertainty import quadratic_forms
 
 RESAMPLES, AT_ONCE = 4000, 500
 NO_DIFFERENCE = 1e-6
@@ -72,7 +71,11 @@ def paired(one: Array, other: Array) -> Paired:
 
 def holm(p_values: Mapping[str, float]) -> dict[str, float]:
     """p values adjusted for their number: S. Holm, A simple sequentially rejective multiple test procedure, 1979."""
-    return dict(zip(p_values, quadratic_forms.holm([*p_values.values()]), strict=True))
+    found, largest = dict(p_values), 0.0
+    for rank, name in enumerate(sorted(p_values, key=lambda name: p_values[name])):
+        largest = max(largest, min((len(p_values) - rank) * p_values[name], 1.0))
+        found[name] = largest
+    return found
 
 
 def success_rate(successes: int, trials: int) -> Interval:

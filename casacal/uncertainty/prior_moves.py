@@ -12,7 +12,6 @@ from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.marginal import Seen
 from casacal.least_squares.elimination import taken_out, triangle
 from casacal.uncertainty.figures import chance_beyond
-from casacal.uncertainty.quadratic_forms import chance_below
 
 DULL = 1e-3  # part of a prior's variance that samples must take away from a direction before it can be said to move
 
@@ -63,6 +62,9 @@ def prior_moves(bound: Seen, x: Array, covariance: Array) -> PriorMoves:
     return PriorMoves(math.sqrt(total / decided), decided, chance_beyond(freedom * total / decided, freedom))
 
 
+BEYOND = 36.0  # largest size times this lies beyond what any such sum reaches: exp(-BEYOND / 2) of the chance
+MOST_TERMS = 1 << 14
+VANISHED = 1e-14  # size of a characteristic function from which on it adds nothing
 MOST_ROWS = 20_000  # rows that the scatter is worked out from; more add memory, not insight
 
 
@@ -83,7 +85,7 @@ class PriorScatter:
 
     def chance_below(self, rms: float) -> float:
         """How probable it is that the drawn arm misses the planes by no more than `rms` (mm)."""
-        return chance_below(self.sizes, self.freedoms, rms**2)
+        return 1.0 - chance_of_sum(self.sizes, self.freedoms, rms**2)
 
 
 def prior_scatter(bound: BoundProblem, *, flat_counts: bool = False) -> PriorScatter:
@@ -136,3 +138,27 @@ def _scatter(powers: Array, noise: Array) -> PriorScatter:
     mean, spread = float(((noise / largest) ** 2).mean()), float(((noise / largest) ** 4).mean())
     freedom = len(noise) * mean**2 / spread  # two moments of what the noise of all rows adds are matched
     return PriorScatter(np.append(own, mean / freedom * largest * largest), np.append(np.ones(len(own)), freedom))
+
+
+def chance_of_sum(sizes: Array, counts: Array, beyond: float) -> float:
+    """Chance that a sum of chi-squares, each of a size and a freedom (m,), is beyond a number.
+
+    From its characteristic function at odd steps (Imhof, Biometrika 48, 1961; Davies, Biometrika 60, 1973).
+    """
+    largest = np.abs(sizes).max()
+    sizes, beyond = sizes / largest, beyond / largest
+    mean, spread = abs(float(sizes @ counts)), math.sqrt(2 * float(sizes**2 @ counts))
+    step = 2 * math.pi / (mean + abs(beyond) + 2 * BEYOND + 8 * spread)
+    total, first = 0.0, 0
+    while first < MOST_TERMS:
+        u = step * (np.arange(first, first + 512) + 0.5)
+        angles = -beyond * u
+        logs = np.zeros(len(u))
+        for size, count in zip(sizes, counts, strict=True):
+            angles += count / 2 * np.arctan(2 * size * u)
+            logs += count / 4 * np.log1p((2 * size * u) ** 2)
+        total += float((np.sin(angles) * np.exp(-logs) / u).sum()) * step
+        if math.exp(-float(logs[-1])) / u[-1] < VANISHED:
+            break
+        first += 512
+    return min(max(0.5 + total / math.pi, 0.0), 1.0)

@@ -10,7 +10,6 @@ from markupsafe import Markup
 
 from casacal.calibration import tables
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.motion import VERY_STRONG
 from casacal.calibration.page.expected import expected_error
 from casacal.calibration.page.measured import measured, worst_rows
 from casacal.calibration.page.residual_pictures import face_maps, histograms, row_plots
@@ -18,6 +17,7 @@ from casacal.calibration.page.touches import Touches
 from casacal.calibration.told import verdict_lines
 from casacal.calibration.verdict import Level, verdict_of
 from casacal.pages.render import count, fixed, mm, rendered
+from casacal.uncertainty.beside_geometry import VERY_STRONG
 from casacal.uncertainty.expectation import Box
 from casacal.wording import capital, numbered_lines, sized
 
@@ -75,7 +75,7 @@ def report_page(
         "cures": None if denied else tables.next_steps(calibration),
         "directions": costly,
         "harmless": harmless,
-        "effects": tables.effects(calibration, denied=denied),
+        "effects": tables.effects(calibration),
         "tried": _tried(document["discrepancy"]),
         "very_strong": f"{VERY_STRONG:g}",
         "worst": worst_rows(each),
