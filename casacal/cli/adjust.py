@@ -158,26 +158,20 @@ def on_table(source: ProblemFile, options: argparse.Namespace) -> ProblemFile:
 
 
 def add_clearance(parser: argparse.ArgumentParser) -> None:
-    """The table, boxes, the thickness of links, and shapes of a URDF."""
+    """The table, boxes, and the thickness of links."""
     add(parser, *TABLE, kind=float)
     words = "a box, mm, base frame, that arm and tool must avoid; may be repeated"
     add(parser, "--keep-out X0:X1,Y0:Y1,Z0:Z1 ...", words)
     add(parser, "--link-radius MM", "radius of the links, to keep clear of boxes, faces and each other", kind=float)
-    add(parser, "--ignore-shapes", "ignore the collision shapes of a URDF")
 
 
-def clearance_of(options: argparse.Namespace, problem: Problem) -> Clearance | None:
-    """What was said, and the shapes that a URDF has; None where there is nothing."""
+def clearance_of(options: argparse.Namespace) -> Clearance | None:
+    """What was said; None where there is nothing."""
     from casacal.planning.clearance import Clearance
-    from casacal.planning.link_shapes import LinkShapes
-    from casacal.robots.urdf_chain import UrdfChain
 
-    shapes = None
-    if isinstance(problem.robot.arm, UrdfChain) and not options.ignore_shapes:
-        shapes = LinkShapes.of(problem.robot)
-    if not options.keep_out and options.link_radius is None and shapes is None:
+    if not options.keep_out and options.link_radius is None:
         return None
     if options.link_radius is not None and options.link_radius < THINNEST:
         raise CasacalError(f"--link-radius is {options.link_radius:g} mm, which no link is", "Give mm: 0.05 m are 50")
     boxes = tuple(box_of(text, option="--keep-out") for text in options.keep_out)
-    return Clearance(boxes, options.link_radius, shapes)
+    return Clearance(boxes, options.link_radius)

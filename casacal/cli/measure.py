@@ -89,7 +89,7 @@ def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, T
         options.tolerance,
         *where(options, source),
         source.cell,
-        clearance_of(options, source.problem),
+        clearance_of(options),
         options.best_first,
     )
     content = hashlib.sha256(Path(options.plan).read_bytes()).hexdigest()[:12]

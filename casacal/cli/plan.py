@@ -73,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
     spare(outs, *(file.path for file in source.files), source.samples, options.targets, options.after)
     warned = _wrong_with(source, options)
     source = on_table(source, options)
-    clearance = clearance_of(options, source.problem)
+    clearance = clearance_of(options)
     found = _planned(source, options, clearance)
     written = _written(source, options, found, clearance)
     compared: tuple[SetUp, ...] = ()
@@ -96,8 +96,6 @@ def run(options: argparse.Namespace) -> int:
         kept_clear=clearance is not None,
     )
     say_paragraphs(*cell_words(found, source.problem, clearance), *said)
-    if clearance is not None and clearance.shapes is not None and clearance.shapes.words:
-        say_paragraphs(clearance.shapes.words)
     say_paragraphs(*(f"warning: {each}" for each in warned), *(f"Written: {place}" for place in written))
     given = {"--instrument": options.instrument, "--table": options.table, "--link-radius": options.link_radius}
     named = [
@@ -105,7 +103,7 @@ def run(options: argparse.Namespace) -> int:
         for name, value in given.items()
         if value is not None
     ]
-    named += [f"--keep-out={box}" for box in options.keep_out] + ["--ignore-shapes"] * options.ignore_shapes
+    named += [f"--keep-out={box}" for box in options.keep_out]
     command = shlex.join(["casacal", "measure", options.problem, *named, "--plan", options.out, "--out"])
     say_paragraphs(f"Next: {command} SAMPLES")
     return DONE

@@ -98,7 +98,7 @@ def pool_of(
     fix = "Say where the table is (--table Z, or Cell(..., table=Z)), or move the faces"
     if clearance is not None:
         what += ", and clear of boxes, faces and the arm itself"
-        fix += "; make the boxes or --link-radius smaller, or ignore the shapes of the URDF (--ignore-shapes)"
+        fix += "; make the boxes or --link-radius smaller"
     raise CasacalError(what, fix)
 
 

@@ -2,7 +2,6 @@
 
 The arm is a chain of rods between its axes, as thick as is said; see `casacal.robots.links`. Points along the rods are
 looked at, so that what is closer than half a spacing may pass unseen: give the links a little more than they measure.
-Where its URDF has shapes for its links, these are looked at as they are.
 """
 
 from __future__ import annotations
@@ -16,12 +15,10 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError
-from casacal.planning.link_shapes import Body, LinkShapes
 from casacal.problem.cell import Cell
 from casacal.robots.links import nodes_of
 from casacal.robots.robot import Robot
 from casacal.uncertainty.expectation import Box
-from casacal.unknowns.fits import transform
 from casacal.values import Value, is_real
 
 ALONG = 12  # points looked at on every rod, its ends among them
@@ -32,13 +29,11 @@ class Clearance(Value):
     """What an arm must keep clear of.
 
     boxes: ranges of x, y, z (mm, base frame) where neither arm nor tool may be. link_radius: how thick its links are,
-    mm, or None where only its tip and flange are looked at. The last link and the tool may come near a face. shapes: of
-    its links, which keep 5 mm off boxes, faces and each other; the one that holds the tip may come near a face.
+    mm, or None where only its tip and flange are looked at. The last link and the tool may come near a face.
     """
 
     boxes: tuple[Box, ...] = ()
     link_radius: float | None = None
-    shapes: LinkShapes | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "boxes", tuple(self.boxes))
@@ -57,11 +52,6 @@ class Clearance(Value):
     def clear(self, robot: Robot, cell: Cell | None, joints: Array, tips: Array) -> NDArray[np.bool_]:
         """Which postures (N, n; rad, mm) keep clear, whose tips (N, 3, mm) touch faces of a cell."""
         good = np.ones(len(joints), dtype=bool)
-        if self.shapes is not None:
-            sides = [np.array(box, dtype=np.float64).T for box in self.boxes]
-            boxes = tuple(Body.box(transform(np.eye(3), (low + high) / 2), high - low) for low, high in sides)
-            good &= self.shapes.clear(boxes, () if cell is None else cell.faces, joints, tips)
-            good &= self.shapes.above(-math.inf if cell is None else cell.table, joints)
         if not self.boxes and self.link_radius is None:
             return good
         nodes = nodes_of(robot, joints)

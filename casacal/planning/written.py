@@ -109,8 +109,8 @@ def where_faces_stand(plan: Plan, problem: Problem) -> list[dict[str, Any]]:
 
 
 def links_checked(clearance: Clearance | None) -> bool:
-    """Whether links were looked at, as rods of some thickness or by their shapes."""
-    return clearance is not None and (clearance.link_radius is not None or clearance.shapes is not None)
+    """Whether links were looked at, as rods of some thickness."""
+    return clearance is not None and clearance.link_radius is not None
 
 
 def cell_words(plan: Plan, problem: Problem, clearance: Clearance | None) -> list[str]:
@@ -155,13 +155,6 @@ def document(
     found: dict[str, Any] = {"touches": counts, "tip_rms_mm": errors, "curve": curve, "written": list(written)}
     found |= {"table_mm": plan.cell.table, "collisions_checked": links_checked(clearance)}
     found["faces"] = where_faces_stand(plan, problem)
-    if clearance is not None and clearance.shapes is not None:
-        shapes = clearance.shapes
-        found["shapes"] = {
-            "looked_at": [each.link for each in shapes.shapes],
-            "not_looked_at": list(shapes.unread),
-            "let_be": [list(pair) for pair in shapes.let_be],
-        }
     if compared:
         found["setups"] = [{"words": each.words, "expected_mm": each.error} for each in compared]
     return found

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -155,12 +154,3 @@ def _motion(joint: UrdfJoint, q: Expression) -> Expression:
         if abs(axis[k]) > 1 - 1e-15:
             return turn(q if axis[k] > 0 else -q)
     return rotate(axis, q)
-
-
-def beside_base(found: UrdfFile, link: str, base: str) -> Array | None:
-    """Pose (4x4, mm) in the base link of one that does not hang on it; None where a joint moves between the two."""
-    ways = [found.above(end)[::-1] for end in (link, base)]
-    if {joint.name for joint in ways[0] if joint.kind != "fixed"} != {j.name for j in ways[1] if j.kind != "fixed"}:
-        return None
-    there, here = (reduce(np.matmul, map(origin_matrix, way), np.eye(4)) for way in ways)
-    return np.asarray(np.linalg.solve(here, there))
