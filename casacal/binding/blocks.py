@@ -62,6 +62,11 @@ class Block:
         outputs: list[Array] = getattr(self.model.batch, name)(x[self.columns[0]], self.constants[0], data)
         return outputs
 
+    def tips_where(self, x: Array, joints: Array, columns: Array) -> Array:
+        """Tips (N, 3; mm) at x (n,) and joint values (N, n; rad, mm), the columns beside these (k,) as given."""
+        data = np.hstack([joints, np.tile(columns, (len(joints), 1))])
+        return np.asarray(self.model.batch.tip(x[self.columns[0]], self.constants[0], data)[0])
+
     def slopes(
         self, what: Literal["tip", "flange"], x: Array, joints: Array, by: Index | None = None, *, usual: bool = True
     ) -> tuple[Array, Array]:

@@ -11,13 +11,12 @@ from collections.abc import Sequence
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.doubt import VERIFY
 from casacal.calibration.fitted import MINIMISERS
-from casacal.calibration.told import verdict_lines, where_told
+from casacal.calibration.told import verdict_lines
 from casacal.calibration.verdict import (
     Verdict,
     held_as_drawn,
     priors_contradicted,
     unexplained,
-    verdict_of,
     wrong_with_samples,
 )
 from casacal.calibration.warnings import doubts
@@ -126,8 +125,6 @@ def brief(
     tail = [] if denied else [*expected, _residual(calibration)]
     told = verdict.words.lower()
     untold = [reason for reason in verdict.reasons if reason.lower() not in told]
-    if calibration.told and (known := verdict_of(arm := where_told(calibration))).level != "do not use":
-        calibration, verdict, denied = arm, known, False  # what to do next is for who has the columns
     above = _wrapped(head, width)
     cure = "" if denied else best_cure(calibration)
     first = verdict.level == "calibrated" and cure  # a doubt is settled first

@@ -83,7 +83,7 @@ class Fitted(Value):
 
     @property
     def told(self) -> tuple[str, ...]:
-        """Keys of those that are corrected as well where rows have the columns that tell them."""
+        """Keys of those among them that columns of the rows tell."""
         return tuple(each.key for each in self.tried if each.told)
 
     @property

@@ -154,13 +154,13 @@ class Tried(Value):
 
     @property
     def corrected(self) -> bool:
-        """Whether `predict` and all that follows it make up for it whatever their rows hold."""
-        return bool(self.helps) and not self.further
+        """Whether `predict` and all that follows it make up for it; one that columns tell, row by row."""
+        return bool(self.helps)
 
     @property
     def told(self) -> bool:
-        """Whether they do so where their rows have the columns that tell it."""
-        return bool(self.helps) and bool(self.further)
+        """Whether they do so by columns of their rows; where these lack them, by their means in the fitted rows."""
+        return self.corrected and bool(self.further)
 
     @property
     def became(self) -> str:
@@ -168,7 +168,7 @@ class Tried(Value):
         splits = ", ".join(f"{name} {gain:+.1f}" for name, gain in self.unseen.items())
         became = "corrected" if self.corrected else "not corrected"
         if self.told:
-            became = f"corrected where rows have {listed(self.further)}"
+            became = f"corrected by {listed(self.further)}"
         least = f"at least {VERY_STRONG:+g} each required"
         told = f"{self.words}, {became}: log likelihood of held-out rows {splits} ({least})"
         return told if self.helps or self.helps is None else f"{told}, but no gain at the tip"

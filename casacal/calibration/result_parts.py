@@ -22,7 +22,7 @@ from casacal.calibration.calibration import Calibration
 from casacal.calibration.given import Reference
 from casacal.calibration.metrics import parts_of
 from casacal.calibration.motion import besides, tip_error
-from casacal.calibration.told import told_part
+from casacal.calibration.told import columns_part, without_columns
 from casacal.compensation.result_file import SCHEMA
 from casacal.errors import CasacalError
 from casacal.least_squares.result import Result
@@ -146,9 +146,7 @@ def discrepancy_part(calibration: Calibration, *, denied: bool = False) -> dict[
         if beside
     ]
     names, off = list(motion.arm.names), np.zeros(motion.x.size) if motion.off is None else motion.off
-    told = told_part(calibration)
-    usable = not denied or any("off" in each for each in told.get("told", ()))
-    known = {"covariance_of": names, "off": off, "covariance": motion.covariance} if usable else {}
+    known = {} if denied else {"covariance_of": names, "off": off, "covariance": motion.covariance}
     tried = [asdict(each) | {"corrected": each.corrected} for each in calibration.tried]
     corrected = list(calibration.corrected)
     parts: dict[str, Any] = {"effects": effects, "tried": tried, "corrected": corrected, "unknowns": unknowns}
@@ -157,7 +155,9 @@ def discrepancy_part(calibration: Calibration, *, denied: bool = False) -> dict[
         parts["without_corrections"] = [{"name": n, "value": float(value)} for n, value, beside in alone if not beside]
         error = math.nan if denied else tip_error(fit, calibration.result, ())
         parts["expected_rms_mm_without_corrections"] = error
-    return {**parts, **known, **told}
+    if calibration.told:
+        parts["expected_rms_mm_without_columns"] = math.nan if denied else without_columns(calibration)
+    return {**parts, **known, **columns_part(calibration)}
 
 
 def dial_error_part(error: DialError) -> dict[str, Any]:

@@ -13,12 +13,10 @@ from casacal.calibration.verdict import GAIN
 from casacal.changes.change import CHANGED, Change
 from casacal.changes.posterior import State
 from casacal.compensation.arm import CalibratedArm, corrected_values, found_values
-from casacal.compensation.predict import predict
 from casacal.compensation.result_file import sealed
-from casacal.compensation.told import where_told
+from casacal.compensation.spread import position_stds
 from casacal.files import jsonable
 from casacal.samples.repeats import listing
-from casacal.samples.samples import Samples
 from casacal.uncertainty.workspace import workspace_joints
 from casacal.verification.fresh import Fresh
 from casacal.verification.opened import Opened
@@ -29,10 +27,8 @@ KEPT = ("schema", "problem", "arm", "seed", "backend", "noise", "versions")  # w
 
 def updated_document(given: Opened, fresh: Fresh, state: State, found: Change, folder: Path | None) -> dict[str, Any]:
     """The whole of it, sealed; paths are relative to the folder that it will stand in, if any."""
-    arm, told, bound, n = given.whole, found_values(given.arm, alone=False), fresh.bound, fresh.bound.unknowns
-    old, place, alone = arm.document, Path(arm.file).parent, found_values(arm, alone=False)
-    # the rows tell where the arm stands with its columns; without them it moves as far
-    x = state.x - np.array([told[name] - alone[name] if name in alone else 0.0 for name in bound.names])
+    arm, x, bound, n = given.arm, state.x, fresh.bound, fresh.bound.unknowns
+    old, place = arm.document, Path(arm.file).parent
     files = [{**file, "path": _elsewhere(file["path"], place, folder)} for file in old["problem"].get("files", ())]
     stds = np.sqrt(np.maximum(np.diagonal(state.covariance), 0.0))
     of_arm = np.flatnonzero([not key for key in bound.beside])
@@ -63,10 +59,6 @@ def updated_document(given: Opened, fresh: Fresh, state: State, found: Change, f
     made = CalibratedArm(arm.file, arm.source, jsonable(document))
     document["tip"] = _tip(made, old)
     document["verdict"] = _verdict(old, document["tip"], found)
-    for each in (document["discrepancy"] or {}).get("told", ()):
-        if "off" in each:
-            tip, before = _tip(where_told(made, each["effects"]), old), where_told(arm, each["effects"]).document
-            each |= {"expected_rms_mm": tip["expected_rms_mm"], "verdict": _verdict(before, tip, found)}
     return sealed(jsonable(document))
 
 
@@ -85,11 +77,8 @@ def _geometry(old: Mapping[str, Any], new: dict[str, Any], moved: Mapping[str, f
 
 
 def _discrepancy(given: Opened, fresh: Fresh, state: State) -> Any:
-    """Effects beside the geometry: corrected ones as the rows put them, others as they were, with what is known.
-
-    The arm with columns that tell effects and the one without move alike: what lies between them is what it was.
-    """
-    said = given.whole.document.get("discrepancy")
+    """Effects beside the geometry: corrected ones as the rows put them, others as they were, with what is known."""
+    said = given.arm.document.get("discrepancy")
     if not said:
         return said
     bound, n, was = fresh.bound, fresh.bound.unknowns, found_values(given.arm, alone=False)
@@ -101,18 +90,13 @@ def _discrepancy(given: Opened, fresh: Fresh, state: State) -> Any:
     part = {**said, "unknowns": _moved(said["unknowns"], moves)}
     if "without_corrections" in said:
         part["without_corrections"] = _moved([row for row in said["without_corrections"] if row["name"] in at], moves)
-    if "told" in said:
-        part["told"] = [{**each, "unknowns": _moved(each["unknowns"], moves)} for each in said["told"]]
     if "covariance" in said:
         known = said["covariance_of"]
         names = [name for name in at if not (name in inside and bound.beside[inside[name]] and name not in known)]
         rows = [at[name] for name in names]
-        for each, keys in ((part, ()), *((one, one["effects"]) for one in part.get("told", ()) if "off" in one)):
-            off = dict(zip(known, each["off"], strict=True))
-            away = {row["name"] for row in said["unknowns"] if row["effect"] not in (*given.whole.corrected, *keys)}
-            each["off"] = [
-                float(off.get(name, 0.0)) + (moves.get(name, 0.0) if name in away else 0.0) for name in names
-            ]
+        off = dict(zip(known, part["off"], strict=True))
+        away = {row["name"] for row in said["unknowns"] if row["effect"] not in corrected}
+        part["off"] = [float(off.get(name, 0.0)) + (moves.get(name, 0.0) if name in away else 0.0) for name in names]
         part["covariance_of"], part["covariance"] = names, state.covariance[np.ix_(rows, rows)]
     return part
 
@@ -124,12 +108,12 @@ def _moved(rows: Iterable[Mapping[str, Any]], moves: Mapping[str, float]) -> lis
 
 def _tip(arm: CalibratedArm, old: Mapping[str, Any]) -> dict[str, Any]:
     """Tip error to expect over the workspace, mm RMS, apart from the position of the base."""
-    joints = Samples.of_joints(workspace_joints(arm.source.problem.robot))
+    joints = workspace_joints(arm.source.problem.robot)
     before = old.get("tip") or {}
     errors = {}
     for frame, key in (("tip", "expected_rms_mm"), ("flange", "flange_expected_rms_mm")):
         known = before.get(key) is not None
-        spread = predict(arm, joints, frame=frame, std=True).std if known or frame == "tip" else None  # type: ignore[arg-type]
+        spread = position_stds(arm, joints, frame, None) if known or frame == "tip" else None
         errors[key] = None if spread is None else float(np.sqrt((spread**2).mean()))
     return {**before, **errors, "without_prior_rms_mm": None, "unseen": None}
 

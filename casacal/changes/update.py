@@ -73,10 +73,10 @@ def after(given: Opened, found: Change, look: Look, folder: Path | None) -> Save
 
 def _refuse(given: Opened, found: Change) -> None:
     """Raise CasacalError for what cannot be updated."""
-    document = given.whole.document
-    if (words := given.whole.denial) is not None:
+    document = given.arm.document
+    if (words := given.arm.denial) is not None:
         fix = "Mend what the verdict names, and calibrate again"
-        raise CasacalError(f"{given.whole.file}: {words.removesuffix('.')}, so it is not updated", fix)
+        raise CasacalError(f"{given.arm.file}: {words.removesuffix('.')}, so it is not updated", fix)
     if document.get("method") == "truth":
         fix = "Give a calibration"
         raise CasacalError(f"{given.arm.file}: a true arm is not estimated, so nothing updates it", fix)

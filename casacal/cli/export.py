@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Write a calibrated arm in the form that --to names; returns 0."""
     from casacal.export.forms import export
-    from casacal.export.remark import as_exported, remark
+    from casacal.export.remark import remark
     from casacal.export.work_frame import frame_text
     from casacal.files import write_text
 
@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
         export(result, options.to, options.out, source=options.source, prefix=options.prefix, force=options.force)
     remarks = remark(result, form=options.to)
     if options.json:
-        said = {"form": options.to, "verdict": as_exported(result, options.to).verdict, "remarks": remarks}
+        said = {"form": options.to, "verdict": result.verdict, "remarks": remarks}
         say_json({**said, "written": [options.out]})
         return DONE
     say_paragraphs(f"Written: {options.out}")

@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Predict as the options say; returns 0, or 1 where the result must not be used."""
     from casacal.compensation.predict import predict, read_joints, write_prediction
-    from casacal.compensation.told import told_despite, told_notes
+    from casacal.compensation.told import told_notes
 
     result = read_arm(options, options.joints)
     joints = read_joints(options.joints, result.source)
@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
     except RefusedResultError as refused:
         complain(str(refused))
         return FAILED
-    count, used = len(prediction.positions), told_despite(result, prediction.missing)
+    count = len(prediction.positions)
     write_prediction(options.out, prediction)
     if options.json:
         said = {
@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
             "poses": count,
             "frame": options.frame,
             "nominal": options.nominal,
-            "verdict": used.verdict,
+            "verdict": result.verdict,
         }
         say_json({**said, "written": [options.out]})
     else:
@@ -67,6 +67,6 @@ def run(options: argparse.Namespace) -> int:
                 f"warning: the calibration saw no session {listed(prediction.unseen)}, so where the dial's zero then "
                 "stood is known by its prior alone (--std shows it)"
             )
-        if (words := used.denial or used.caution) is not None and not options.nominal:
+        if (words := result.denial or result.caution) is not None and not options.nominal:
             say_paragraphs(words)
     return DONE

@@ -74,13 +74,13 @@ def compensate(
     rounding = rounding or Rounding()
     drawn = result.source.problem.without_effects
     nominal = PosedArm.of(drawn, local_coordinates(result, nominal=True), frame, row_constants(result, drawn))
+    result.check_usable(force=force)
+    _trusted(result, frame)
     told = Told.by(result, rows_with(targets, np.arange(len(targets)), np.zeros((len(targets), len(drawn.robot.axes)))))
-    told.arm.check_usable(force=force)
-    _trusted(told.arm, frame)
-    used, local = told.arm.used, local_coordinates(told.arm, of=told.arm.used)
+    used, local = result.used, local_coordinates(result, of=result.used)
     arm = replace(nominal, local=local)
     if used.effects:
-        arm = PosedArm.of(used, local, frame, row_constants(told.arm, used), told.columns)
+        arm = PosedArm.of(used, local, frame, row_constants(result, used), told.columns)
     start, positions, rotations = _meant(nominal, targets)
     found: Rows = np.asarray(np.isfinite(start).all(axis=1))
     began = np.where(found[:, None], start, np.mean(nominal.robot.limits, axis=0))
@@ -92,7 +92,7 @@ def compensate(
     limited = arm.at_limit(joints, positions, rotations) & ~jumps
     beyond: Rows = jumps & (moved <= LARGEST) & arm.takes(joints, positions, rotations)
     joints = rounding(arm, np.where(jumps[:, None] | ~found[:, None], start, joints))
-    place, turn, expected = _proof(result, arm, targets, joints, positions, rotations, told.arm.denial is not None)
+    place, turn, expected = _proof(result, arm, targets, joints, positions, rotations, result.denial is not None)
     cases = (
         (~found, Outcome.UNREACHABLE),
         (~np.isfinite(place + turn), Outcome.NOT_FINITE),

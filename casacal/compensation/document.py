@@ -14,6 +14,7 @@ from casacal.errors import CasacalError
 from casacal.samples.repeats import is_listing
 
 FIX = "Restore the file, or calibrate again"
+EARLIER = "Calibrate again with this version"
 
 
 @cache
@@ -63,7 +64,7 @@ def _check_discrepancy(file: str, part: Mapping[str, Any]) -> None:
     if corrected and not part.get("without_corrections"):
         raise CasacalError(f"{file}: its discrepancy does not give the arm without corrections", FIX)
     names = part.get("covariance_of", [])
-    _check_told(file, part, len(names))
+    _check_told(file, part)
     if "covariance" in part:
         if not names or len(set(names)) < len(names):
             raise CasacalError(f"{file}: the 'covariance_of' of its discrepancy is {_short(names)}", FIX)
@@ -72,17 +73,15 @@ def _check_discrepancy(file: str, part: Mapping[str, Any]) -> None:
         _check_covariance(file, part["covariance"], len(names))
 
 
-def _check_told(file: str, part: Mapping[str, Any], count: int) -> None:
-    """Columns that tell effects, and the arm for each choice of them."""
-    further, told = part.get("further", {}), part.get("told", [])
-    if not set(further) <= {effect["key"] for effect in part["effects"]}:
+def _check_told(file: str, part: Mapping[str, Any]) -> None:
+    """Columns that tell effects, and what they held in the fitted rows."""
+    further = part.get("further", {})
+    if "told" in part:
+        raise CasacalError(f"{file}: it is of an earlier version, with an arm for each choice of columns", EARLIER)
+    if not set(further) <= set(part.get("corrected", [])):
         raise CasacalError(f"{file}: its columns of effects are {_short(further)}", FIX)
-    for each in told:
-        if "off" in each and len(each["off"]) != count:
-            raise CasacalError(f"{file}: the 'off' where columns tell effects is {_short(each['off'])}", FIX)
-    choices = {frozenset(each["effects"]) for each in told}
-    if len(choices) < 2 ** len(further) - 1 or not all(some and some <= set(further) for some in choices):
-        raise CasacalError(f"{file}: the arm is missing where columns tell effects", FIX)
+    if further and not (part.get("mean") and set(part["mean"]) == set(part.get("spread", ()))):
+        raise CasacalError(f"{file}: it does not say what the columns of effects held in the fitted rows", FIX)
 
 
 def _check_covariance(file: str, rows: list[list[float | None]] | None, count: int) -> None:

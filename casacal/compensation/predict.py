@@ -13,7 +13,7 @@ from casacal.array_types import Array
 from casacal.compensation.arm import FRAMES, CalibratedArm, found_values, local_coordinates, row_constants
 from casacal.compensation.result_file import arm_from
 from casacal.compensation.spread import RowZeros, position_stds
-from casacal.compensation.told import NOTHING_TOLD, Told, whole_rows
+from casacal.compensation.told import NOTHING, Told, whole_rows
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.files import MADE, write_text
 from casacal.kinematics import stacked_poses
@@ -114,7 +114,8 @@ def predict(
     Args:
         result: a calibration or a truth.
         joints: rows of joint values, also as numbers, a frame or a file; columns that are absent (a reading) count as
-            zero. An effect that further columns tell (torques, a payload) is corrected where they have these.
+            zero. An effect that further columns tell (torques, a payload) is corrected by
+            these, and where they lack them as in the fitted rows on average, which the standard deviations count.
         frame: "flange" is `robot.pose`; "tip" is where the instrument touches. Where a dial was set to zero anew for
             each session, the tip is that of the row's session; of rows that name none, and have no reading, it is the
             tool's point as the problem declares it.
@@ -137,9 +138,9 @@ def predict(
     joints = joints_from(joints, result.source)
     if frame not in FRAMES:
         raise UnknownNameError("frame", str(frame), FRAMES)
-    told = Told(result, NOTHING_TOLD) if nominal else Told.by(result, joints)
-    result, denial = told.arm, None if nominal else told.arm.denial
+    denial = None if nominal else result.denial
     result.check_usable(force=force or nominal)
+    told = NOTHING if nominal else Told.by(result, joints)
     problem = result.source.problem.without_effects if nominal else result.used
     model, instrument = problem.model, problem.instrument
     z = local_coordinates(result, nominal=nominal, of=problem)
@@ -163,7 +164,7 @@ def predict(
     if std:
         if nominal:
             raise CasacalError("The nominal arm has no standard deviation", "Leave out --nominal or --std")
-        spread = position_stds(result, data[:, :known], frame, zeros, told.columns)
+        spread = position_stds(result, data[:, :known], frame, zeros, told)
     return Prediction(positions, np.roll(xyzw, 1, axis=1), spread, unseen, told.missing, told.beyond, denial)
 
 

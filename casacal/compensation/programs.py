@@ -18,7 +18,7 @@ from casacal.array_types import Array
 from casacal.compensation.arm import TRUTH, CalibratedArm
 from casacal.compensation.inverse_kinematics import torn
 from casacal.compensation.targets import Compensation, Outcome, Rounding
-from casacal.compensation.told import told_despite, told_notes
+from casacal.compensation.told import told_notes
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.files import MADE
 from casacal.robots.robot import Robot
@@ -138,12 +138,11 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
     ]
     if result.document.get("method") == "truth":
         lines.append(f"WARNING: {TRUTH}")
-    used = told_despite(result, compensation.missing)
-    words = used.denial
+    words = result.denial
     verb = "removes" if words is None else "changes"
     if words is not None:
         lines.append(f"WARNING, forced against the verdict: {words}")
-    if (care := used.caution) is not None:
+    if (care := result.caution) is not None:
         lines.append(f"the result's verdict: {care}")
     if reached.any():
         lines += [
@@ -182,7 +181,7 @@ def _table(compensation: Compensation, result: CalibratedArm) -> Iterator[str]:
     yield ",".join(
         ["line", *names, "status", "residual_mm", "residual_mrad", "correction_mm", "correction_deg", "expected_mm"]
     )
-    denied = told_despite(result, compensation.missing).denial is not None
+    denied = result.denial is not None
     written = compensation.joints * np.where(turns, 180 / math.pi, 1.0)
     figures = np.column_stack(
         [

@@ -9,10 +9,11 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm, all_motion, local_coordinates, row_constants, with_effects
-from casacal.compensation.told import NOTHING_TOLD, whole_rows
+from casacal.compensation.told import NOTHING, NOTHING_TOLD, Told, whole_rows
 from casacal.discrepancy.effect import Site
 from casacal.errors import CasacalError
 from casacal.instruments import Instrument
+from casacal.kinematics import stacked_poses
 from casacal.problem.compile import RowModel
 from casacal.samples.samples import Samples
 from casacal.uncertainty.workspace import tip_stds, up_to_base, workspace_joints
@@ -102,20 +103,21 @@ def position_stds(
     data: Array,
     frame: str,
     zeros: RowZeros | None,
-    told: Mapping[str, Array] = NOTHING_TOLD,
+    told: Told = NOTHING,
 ) -> Array:
     """Standard deviation (N,) of the position, mm, all axes together, apart from the position of the base.
 
     Where it stands is what a rigid motion fitted over the workspace takes out. Effects beside the geometry that are not
-    corrected count as errors, by what they do and by how well that is known. told: columns (N,) that rows tell of
-    effects, by name; what is not told is as large as it was in the fitted rows.
+    corrected count as errors, by what they do and by how well that is known. told: what rows tell of effects; a column
+    that stands at its mean is off by its standard deviation in the fitted rows.
     """
     arm, joints = moved_arm(result), workspace_joints(result.source.problem.robot)
     names, n = arm.model.names, joints.shape[1]
-    data = whole_rows(data, n, names, told, arm.elsewhere)
+    data = whole_rows(data, n, names, told.columns, arm.elsewhere)
     joints = whole_rows(joints, n, names, NOTHING_TOLD, arm.elsewhere)
     if zeros is None:
-        return _stds(arm.covariance, _field(arm, data, frame), _field(arm, joints, frame), arm.off)
+        stds = _stds(arm.covariance, _field(arm, data, frame), _field(arm, joints, frame), arm.off)
+        return np.hypot(stds, _by_columns(arm, data, frame, told.deviations))
     found = np.zeros(len(data))
     off = None if arm.off is None else np.append(arm.off, 0.0)
     whole, known = all_motion(result)
@@ -126,7 +128,22 @@ def position_stds(
         rows = np.array(zeros.names) == name
         there, workspace = (_field(arm, each, frame, zeros.sign) for each in (data[rows], joints))
         found[rows] = _stds(covariance, there, workspace, off)
-    return found
+    return np.hypot(found, _by_columns(arm, data, frame, told.deviations))
+
+
+def _by_columns(arm: Moved, data: Array, frame: str, deviations: Mapping[str, float]) -> Array:
+    """How far (N,) positions are off, mm RMS, where columns stand at their means that may deviate by so much."""
+    batch, squares, n = arm.model.batch, np.zeros(len(data)), data.shape[1] - len(arm.model.names)
+
+    def positions(rows: Array) -> Array:
+        found = (batch.tip if frame == "tip" else batch.pose)(arm.z, arm.constants, rows)[0]
+        return np.asarray(found if frame == "tip" else stacked_poses(found)[:, :3, 3])
+
+    for name, deviation in deviations.items():
+        moved = data.copy()
+        moved[:, n + list(arm.model.names).index(name)] += deviation
+        squares += ((positions(moved) - positions(data)) ** 2).sum(axis=1)
+    return np.sqrt(squares)
 
 
 def _stds(covariance: Array, there: tuple[Array, Array], workspace: tuple[Array, Array], off: Array | None) -> Array:

@@ -1,10 +1,9 @@
-"""Effects that columns of a file tell, such as torques: corrected where rows have them, else counted as errors."""
+"""Effects that columns of a file tell, such as torques: corrected row by row, or as in the fitted rows on average."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,37 +23,44 @@ MOST_SPANS, FAR_SPANS = 10.0, 0.5
 
 @dataclass(frozen=True, eq=False)
 class Told:
-    """An arm as some rows tell of it.
+    """What rows tell of the effects that are corrected by columns.
 
-    arm: with the effects corrected that they tell. columns: of these effects, by name in the row model, each (N,).
-    missing: by an effect's words the columns that these rows lack, so that it is not corrected. beyond: a sentence for
-    each column with amounts far from those of the fitted rows.
+    columns: by name in the row model, each (N,); their means in the fitted rows where these rows lack them.
+    missing: by an effect's words the columns that these rows lack. beyond: a sentence for each column with amounts far
+    from those of the fitted rows. deviations: standard deviation, in the fitted rows, of each column at its mean.
     """
 
-    arm: CalibratedArm
     columns: Mapping[str, Array]
     missing: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     beyond: tuple[str, ...] = ()
+    deviations: Mapping[str, float] = field(default_factory=dict)
 
     @staticmethod
     def by(arm: CalibratedArm, rows: Samples) -> Told:
-        """An arm as rows tell of it; raises SamplesError where a column that tells an effect holds what it may not."""
+        """What rows tell of an arm; raises SamplesError where a column that tells an effect holds what it may not."""
         further = columns_that_tell(arm)
-        keys = [key for key, names in further.items() if set(names) <= set(rows.extra)]
-        words = {effect["key"]: effect["words"] for effect in arm.discrepancy.get("effects", ())}
-        lacking = {
-            words[key]: tuple(name for name in names if name not in rows.extra)
-            for key, names in further.items()
-            if key not in keys
-        }
-        told, columns, beyond = where_told(arm, keys), dict[str, Array](), list[str]()
-        if keys:
-            site = Site(told.source.problem.robot, told.source.problem.instrument)
-            for effect in told.used.effects:
-                if effect.key in keys:
-                    columns |= effect.told(site, rows)
-                    beyond += _beyond(rows, effect.amounts(site, rows), arm.discrepancy.get("range", {}))
-        return Told(told, columns, FrozenMapping(lacking), tuple(beyond))
+        if not further:
+            return NOTHING
+        site, said = Site(arm.source.problem.robot, arm.source.problem.instrument), arm.discrepancy
+        columns, lacking = dict[str, Array](), dict[str, tuple[str, ...]]()
+        away, beyond = dict[str, float](), list[str]()
+        for effect in arm.used.effects:
+            absent = tuple(name for name in further.get(effect.key, ()) if name not in rows.extra)
+            if effect.key not in further:
+                continue
+            if absent:
+                lacking[effect.words] = absent
+                for name in set(effect.columns(site)) & set(said["mean"]):
+                    columns[name] = np.full(len(rows), float(said["mean"][name]))
+                    away[name] = float(said["spread"][name])
+            else:
+                columns |= effect.told(site, rows)
+                beyond += _beyond(rows, effect.amounts(site, rows), said.get("range", {}))
+        return Told(columns, FrozenMapping(lacking), tuple(beyond), FrozenMapping(away))
+
+
+NOTHING = Told(NOTHING_TOLD)
+"""Of an arm that no column tells anything."""
 
 
 def _beyond(rows: Samples, amounts: Mapping[str, Array], ranges: Mapping[str, Mapping[str, float]]) -> list[str]:
@@ -99,52 +105,15 @@ def columns_that_tell(arm: CalibratedArm) -> dict[str, tuple[str, ...]]:
     return {str(key): tuple(map(str, names)) for key, names in arm.discrepancy.get("further", {}).items()}
 
 
-def where_told(arm: CalibratedArm, keys: Collection[str] | None = None) -> CalibratedArm:
-    """The arm where these effects are corrected as well, by default all that columns tell; itself where there is none.
-
-    Its geometry is that beside them; its verdict and its tip error are those where the columns are known.
-    """
-    wanted = set(columns_that_tell(arm) if keys is None else keys)
-    said, document = arm.discrepancy, arm.document
-    if not wanted:
-        return arm
-    (chosen,) = (each for each in said["told"] if set(each["effects"]) == wanted)
-    values = {row["name"]: float(row["value"]) for row in chosen["unknowns"]}
-    changed: dict[str, Any] = {
-        "verdict": chosen["verdict"],
-        "parameters": [
-            {**row, "estimate": row["nominal"] + values[row["name"]]} if row["name"] in values else row
-            for row in document["parameters"]
-        ],
-        "unknowns": [{**row, "value": values.get(row["name"], row["value"])} for row in document.get("unknowns", ())],
-        "discrepancy": {
-            **{key: value for key, value in said.items() if key != "further"},
-            "corrected": [*arm.corrected, *chosen["effects"]],
-            **({"off": chosen["off"]} if "off" in chosen else {}),
-        },
-    }
-    tip = {"expected_rms_mm": chosen["expected_rms_mm"], "flange_expected_rms_mm": None}
-    changed["tip"] = {**(document.get("tip") or {}), **tip}
-    if document.get("covariance") is None and "off" in chosen:  # the arm without the columns is denied, this one is not
-        changed |= {name: said[name] for name in ("covariance", "covariance_of")}
-    return replace(arm, document=FrozenMapping({**document, **changed}))
-
-
-def told_despite(arm: CalibratedArm, missing: Collection[str]) -> CalibratedArm:
-    """The arm as rows tell of it that lack the columns of some effects, by their words."""
-    further, effects = columns_that_tell(arm), arm.discrepancy.get("effects", ())
-    return where_told(arm, [each["key"] for each in effects if each["key"] in further and each["words"] not in missing])
-
-
 def told_notes(arm: CalibratedArm, missing: Mapping[str, tuple[str, ...]], beyond: Sequence[str]) -> list[str]:
     """What the columns of rows corrected, which are far beyond the fitted ones, and what they lack, a sentence each."""
     keys = columns_that_tell(arm)
     words = [effect["words"] for effect in arm.discrepancy.get("effects", ()) if effect["key"] in keys]
     done = listed([each for each in words if each not in missing])
-    said = f"Corrected by columns of the rows: {done}; the verdict is about the arm with them."
+    said = f"Corrected by columns of the rows: {done}."
     lacking = [
-        f"Without the column{'s' * (len(names) > 1)} {listed(names)}, {words} is not corrected and counts as an error; "
-        f"give {'them' if len(names) > 1 else 'it'}, and it is corrected."
+        f"Without {listed(names)}, {words} is corrected as in the fitted rows on average, and what rows differ by "
+        "counts as an error; with them, each is corrected by its own."
         for words, names in missing.items()
     ]
     return [*[said] * bool(done), *beyond, *lacking]

@@ -12,7 +12,7 @@ from casacal.export.c_code import c_text
 from casacal.export.controllers import ur_kinematics_text, zeros_text
 from casacal.export.dh import dh_text
 from casacal.export.functions import casadi_text
-from casacal.export.remark import MARK, as_exported, remark
+from casacal.export.remark import MARK, remark
 from casacal.export.urdf import urdf_text
 from casacal.files import MADE, write_text
 from casacal.robots.files.dh_file import is_toml
@@ -49,7 +49,7 @@ def export(
         raise CasacalError(f"The form '{form}' writes no file back", "Leave out the source")
     if prefix is not None and form != "c":
         raise CasacalError(f"The form '{form}' has no prefix", "Leave it out")
-    as_exported(arm, form).check_usable(force=force)
+    arm.check_usable(force=force)
     if form == "dh":
         text = dh_text(arm, toml=path is not None and is_toml(path))
     elif form == "urdf":

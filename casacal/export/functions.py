@@ -12,7 +12,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm, arm_values, local_coordinates, row_constants
 from casacal.compensation.result_file import arm_from
-from casacal.compensation.told import columns_that_tell, where_told
+from casacal.compensation.told import columns_that_tell
 from casacal.discrepancy.effect import Site
 from casacal.errors import CasacalError
 from casacal.problem.compile import row_function
@@ -68,11 +68,10 @@ def pose_at(arm: CalibratedArm, q: ca.SX, told: ca.SX | None = None) -> ca.SX:
 
     told: what columns tell of effects (k), in the order of `told_names`.
     """
-    used = where_told(arm)
-    problem = used.used
+    problem = arm.used
     if not problem.effects:
         return ca.SX(problem.robot.pose(arm_values(arm), q))
-    z, c = ca.DM(local_coordinates(used, of=problem)), ca.DM(row_constants(used, problem))
+    z, c = ca.DM(local_coordinates(arm, of=problem)), ca.DM(row_constants(arm, problem))
     return ca.reshape(problem.symbols.functions["pose"](z, c, _row(arm, problem, q, told)), 4, 4)
 
 
@@ -86,14 +85,14 @@ def tip_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fals
     arm = arm_from(arm)
     if free:
         return arm.source.problem.without_effects.symbols.value_functions["tip"]
-    q, used = ca.SX.sym("q", len(arm.source.problem.robot.axes)), arm if nominal else where_told(arm)
-    problem = arm.source.problem.without_effects if nominal else used.used
+    q = ca.SX.sym("q", len(arm.source.problem.robot.axes))
+    problem = arm.source.problem.without_effects if nominal else arm.used
     inputs, d = {"q": q}, ca.vertcat(q, ca.DM.zeros(len(problem.symbols.columns)))
     if not nominal:
         inputs = inputs_of(arm, q)
         d = _row(arm, problem, **inputs)
-    z = local_coordinates(used, nominal=nominal, of=problem)
-    tip = problem.symbols.functions["tip"](z, ca.DM(row_constants(used, problem)), d)
+    z = local_coordinates(arm, nominal=nominal, of=problem)
+    tip = problem.symbols.functions["tip"](z, ca.DM(row_constants(arm, problem)), d)
     name = "tip" if nominal else _name("tip", arm, force=force)
     return row_function(name, [*inputs.values()], [tip], [*inputs])
 
@@ -143,9 +142,8 @@ def casadi_text(arm: CalibratedArm) -> str:
 
 def _name(name: str, arm: CalibratedArm, *, force: bool) -> str:
     """The name of a function of the arm as calibrated; raises RefusedResultError for one not to be used."""
-    used = where_told(arm)
-    used.check_usable(force=force)
-    return name if used.denial is None else f"{name}_forced_against_the_verdict"
+    arm.check_usable(force=force)
+    return name if arm.denial is None else f"{name}_forced_against_the_verdict"
 
 
 def _check(nominal: bool, free: bool) -> None:

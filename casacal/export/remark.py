@@ -6,7 +6,7 @@ from pathlib import Path
 
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.result_file import arm_from
-from casacal.compensation.told import columns_that_tell, where_told
+from casacal.compensation.told import columns_that_tell
 from casacal.files import MADE
 from casacal.robots.dh_table import DHTable
 from casacal.robots.robot import Robot
@@ -18,11 +18,6 @@ MARK = "casacal: "
 """What begins each of these lines, so that they are replaced and not piled up when a file is written back again."""
 
 
-def as_exported(arm: CalibratedArm, form: str) -> CalibratedArm:
-    """The arm that a form holds, with the verdict that goes with it: only some take what columns tell."""
-    return where_told(arm) if form in TAKES_COLUMNS else arm
-
-
 def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
     """Lines, without comment signs, on the origin and the expected accuracy of what is exported.
 
@@ -32,7 +27,6 @@ def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
     result = arm_from(result)
     further = columns_that_tell(result)
     takes = form in TAKES_COLUMNS
-    result = as_exported(result, form)
     document = result.document
     name = result.source.name
     by = MADE
@@ -53,10 +47,8 @@ def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
         lines.append(f"{MARK}not in this form: {named}, which predict, compensate and the forms c and casadi correct")
     elif keys:
         lines.append(f"{MARK}corrected beside the geometry: {named}")
-    for key, names in further.items():
-        inputs = ", ".join(names)
-        done = "is corrected, and takes" if takes else "is not corrected in this form; the forms c and casadi take"
-        lines.append(f"{MARK}{called[key]} {done} {inputs} as inputs")
+    for key, names in further.items() if takes else ():
+        lines.append(f"{MARK}{called[key]} takes {', '.join(names)} as inputs")
     if (care := result.caution) is not None:
         level = f"{care.partition(':')[0]}; its words and its figure are those of the corrected arm"
         lines.append(f"{MARK}the result's verdict: {level if alone else care}")

@@ -16,7 +16,7 @@ from casacal.calibration.saved import AsArm
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.result_file import read_result
 from casacal.compensation.seen_by import seen_by
-from casacal.compensation.told import NOTHING_TOLD, Told
+from casacal.compensation.told import NOTHING, Told
 from casacal.errors import CasacalError, SamplesError, came
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
@@ -37,9 +37,6 @@ class Opened:
     """A result as the instrument of some rows sees it, those rows that count, and lines of those that do not."""
 
     arm: CalibratedArm
-    """With the effects corrected that columns of the rows tell."""
-    whole: CalibratedArm
-    """As the result has it, for rows with such columns and without."""
     source: ProblemFile
     rows: Samples
     copied: tuple[int, ...]
@@ -191,11 +188,10 @@ def _fresh_among(arm: CalibratedArm, source: ProblemFile, rows: Samples, *, othe
         for some, which in ((rows, again), (once, seen))
     )
     fresh = once.take(np.flatnonzero(~seen))
-    told = Told(arm, NOTHING_TOLD) if other else Told.by(arm, fresh)
-    remarks = told.beyond
+    remarks = (NOTHING if other else Told.by(arm, fresh)).beyond
     if not other:
         remarks += (*_unlabelled(fresh, source, arm), *_same_postures(fresh, source, data.get("fitted_rows")))
-    return Opened(told.arm, arm, source, fresh, copied, fitted, other, remarks)
+    return Opened(arm, source, fresh, copied, fitted, other, remarks)
 
 
 def _unlabelled(fresh: Samples, source: ProblemFile, arm: CalibratedArm) -> list[str]:
