@@ -55,7 +55,7 @@ def calibration(hsr):
 
 
 def test_the_share_of_the_prior_is_what_is_left_of_it(calibration):
-    table, held = parameters(calibration, denied=False)
+    table, held = parameters(calibration)
     names = list(calibration.fit.names)
     for row in table.rows:
         j = names.index(row[0])

@@ -28,7 +28,7 @@ from casacal import (
     tool_point,
     verify,
 )
-from casacal.calibration.result_parts import geometry, parameter_rows, spreads
+from casacal.calibration.result_parts import geometry, rows_of, spreads
 from casacal.cli.main import main
 from casacal.compensation.arm import CalibratedArm
 from casacal.errors import SamplesError, UnknownNameError
@@ -84,7 +84,7 @@ def fitted(source, samples):
     result = lm(bound)
     document = {
         "data": {"sha256": samples.sha256},
-        "parameters": parameter_rows(bound, result.x, result.std),
+        "parameters": rows_of(bound, result.x, result.std, ["samples"] * bound.unknowns),
         **geometry(bound, result.x),
         **spreads(result.covariance, bound.names, bound),
     }

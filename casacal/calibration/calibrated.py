@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +16,7 @@ from casacal.calibration.calibration import Calibration
 from casacal.calibration.motion import Motion
 from casacal.calibration.pictures import plot_convergence, plot_residuals, plot_tip_std
 from casacal.calibration.result_json import calibration_document, write_calibration
-from casacal.calibration.result_parts import parameter_rows, without_predictions, without_tips
+from casacal.calibration.result_parts import parameter_rows
 from casacal.calibration.saved import AsArm, parameter_table
 from casacal.calibration.sensitivity import Sensitivity
 from casacal.calibration.summary import summary
@@ -33,22 +32,6 @@ from casacal.uncertainty.transfer import LeftOut
 
 if TYPE_CHECKING:
     import pandas as pd
-
-
-def _governed(left: Callable[[Any], Any]) -> Any:
-    """A figure of `unjudged` that the verdict governs: where it denies the result, what is `left` of the figure."""
-
-    class Governed:
-        def __set_name__(self, _: type, name: str) -> None:
-            self.name = name
-
-        def __get__(self, made: Calibrated | None, _: type) -> Any:
-            if made is None:
-                return self
-            found = getattr(made.unjudged, self.name)
-            return left(found) if made.denied else found
-
-    return Governed()
 
 
 class Calibrated(Calibration, AsArm):
@@ -75,30 +58,78 @@ class Calibrated(Calibration, AsArm):
         """Whether the method converged, the reference agrees where there must be a minimum, and nothing denies it."""
         return self.unjudged.passed and not self.denied
 
-    tip_std: tuple[float, float] = _governed(lambda _: (math.nan, math.nan))
-    """Tip error to expect, mm RMS over the workspace, apart from the position of the base: from priors, and now."""
-    flange_std: tuple[float, float] = _governed(lambda _: (math.nan, math.nan))
-    """The same of the flange's origin, whatever tool it carries."""
-    tip_std_without_prior: tuple[float, int] = _governed(lambda found: (math.nan, found[1]))
-    """The same from the samples alone, and how many directions that move the tip they miss (then infinite)."""
-    tip_from_minimum: float = _governed(lambda _: math.nan)
-    """How far the tip stands from where the minimum puts it, mm RMS over the workspace."""
-    covariance: Array = _governed(lambda known: np.full_like(known, math.nan))
-    """Covariance (s, s) of the unknowns of `seen`, mm and rad."""
-    motion: Motion = _governed(lambda known: replace(known, covariance=np.full_like(known.covariance, math.nan)))
-    """All that moves the tip, and its covariance."""
-    cures: tuple[Cure, ...] = _governed(lambda _: ())
-    """What to do next, best first, with the tip error after it; empty where the verdict denies the result."""
-    advice: tuple[str, ...] = _governed(lambda words: words)
-    """What lowers each null, then each weak direction, in the words of `cures`; none needed if it moves no tip."""
-    prior_moves: PriorMoves = _governed(lambda found: found)
-    """How far arm and tool moved beyond what their priors allow, all together."""
-    identifiability: Identifiability = _governed(without_tips)
-    """Rank, null and weak directions as drawn; what they do to the tip is NaN where the verdict denies figures."""
-    left_out: tuple[LeftOut, ...] = _governed(without_predictions)
-    """Each fitted face as the others predict it; the prediction is NaN where the verdict denies figures."""
-    sensitivity: Sensitivity = _governed(Sensitivity.without_tips)
-    """How the estimate follows readings and priors; what they do to the tip is NaN where the verdict denies figures."""
+    # The gate: figures of accuracy are given here, or denied. What is written and shown reads them here, too.
+
+    @property
+    def tip_std(self) -> tuple[float, float]:
+        """Tip error to expect, mm RMS over the workspace, apart from the position of the base: from priors, and now."""
+        return (math.nan, math.nan) if self.denied else self.unjudged.tip_std
+
+    @property
+    def flange_std(self) -> tuple[float, float]:
+        """The same of the flange's origin, whatever tool it carries."""
+        return (math.nan, math.nan) if self.denied else self.unjudged.flange_std
+
+    @property
+    def tip_std_without_prior(self) -> tuple[float, int]:
+        """The same from the samples alone, and how many directions that move the tip they miss (then infinite)."""
+        alone, missed = self.unjudged.tip_std_without_prior
+        return math.nan if self.denied else alone, missed
+
+    @property
+    def tip_from_minimum(self) -> float:
+        """How far the tip stands from where the minimum puts it, mm RMS over the workspace."""
+        return math.nan if self.denied else self.unjudged.tip_from_minimum
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations (n,) of `fit.names`, mm and rad."""
+        return np.full_like(self.result.std, math.nan) if self.denied else self.result.std
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (s, s) of the unknowns of `seen`, mm and rad."""
+        known = self.unjudged.covariance
+        return np.full_like(known, math.nan) if self.denied else known
+
+    @property
+    def motion(self) -> Motion:
+        """All that moves the tip, and its covariance."""
+        found = self.unjudged.motion
+        return replace(found, covariance=np.full_like(found.covariance, math.nan)) if self.denied else found
+
+    @property
+    def cures(self) -> tuple[Cure, ...]:
+        """What to do next, best first, with the tip error after it; empty where the verdict denies the result."""
+        return () if self.denied else self.unjudged.cures
+
+    @property
+    def advice(self) -> tuple[str, ...]:
+        """What lowers each null, then each weak direction, in the words of `cures`; none needed if it moves no tip."""
+        return self.unjudged.advice
+
+    @property
+    def prior_moves(self) -> PriorMoves:
+        """How far arm and tool moved beyond what their priors allow, all together."""
+        return self.unjudged.prior_moves
+
+    @property
+    def identifiability(self) -> Identifiability:
+        """Rank, null and weak directions as drawn; what they do to the tip is NaN where the verdict denies figures."""
+        found = self.unjudged.identifiability
+        return found.without_tips() if self.denied else found
+
+    @property
+    def left_out(self) -> tuple[LeftOut, ...]:
+        """Each fitted face as the others predict it; the prediction is NaN where the verdict denies figures."""
+        found = self.unjudged.left_out
+        return tuple(replace(each, predicted_mm=math.nan) for each in found) if self.denied else found
+
+    @property
+    def sensitivity(self) -> Sensitivity:
+        """How the estimate follows readings and priors; what they do to the tip is NaN where figures are denied."""
+        found = self.unjudged.sensitivity
+        return found.without_tips() if self.denied else found
 
     @property
     def x(self) -> Array:
@@ -137,7 +168,7 @@ class Calibrated(Calibration, AsArm):
 
         Angles in rad, lengths in mm. known_from: "samples", "samples and prior", "prior alone" or "held".
         """
-        return parameter_table(parameter_rows(self.fit, self.used_x, self.result.std, denied=self.denied))
+        return parameter_table(parameter_rows(self))
 
     @cached_property
     def arm(self) -> CalibratedArm:
@@ -164,7 +195,7 @@ class Calibrated(Calibration, AsArm):
         """
         from casacal.calibration.page import report_page
 
-        write_text(path, report_page(self.unjudged, calibration_document(self), box=box))
+        write_text(path, report_page(self, calibration_document(self), box=box))
         return Path(path)
 
     def summary(self) -> str:

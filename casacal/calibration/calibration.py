@@ -74,6 +74,11 @@ class Calibration(Fitted):
         return seen(self.fit, self.result.x)[1]
 
     @property
+    def std(self) -> Array:
+        """Standard deviations (n,) of the unknowns, mm and rad."""
+        return self.result.std
+
+    @property
     def covariance(self) -> Array:
         """Covariance of its unknowns (s, s); infinite variances where neither data nor prior hold one."""
         return among(self.result, self.seen)

@@ -42,12 +42,10 @@ def calibration_document(
     calibration: Calibration, source: ProblemFile | None = None, *, folder: Path | None = None
 ) -> dict[str, Any]:
     """The whole of result.json for a calibration; paths are relative to the folder that it will stand in, if any."""
-    calibration = calibration.unjudged
     result, fit = calibration.result, calibration.fit
     verdict = verdict_of(calibration)
     denied = verdict.level == "do not use"
     pairs = [] if denied else correlated_pairs(calibration.covariance, calibration.seen.names)
-    left_out = parts.without_predictions(calibration.left_out) if denied else calibration.left_out
     document = {
         **parts.head_of(source or calibration.source, result, calibration.seed, fit.backend, folder),
         "verdict": asdict(verdict),
@@ -63,20 +61,20 @@ def calibration_document(
             "copies": calibration.copies,
         },
         "cost": result.cost,
-        "parameters": parts.parameter_rows(fit, calibration.used_x, result.std, denied=denied),
+        "parameters": parts.parameter_rows(calibration),
         **parts.geometry(fit, calibration.used_x),
         "metrics": calibration.metrics,
         **({"metrics_by_instrument": by} if (by := calibration.metrics_by_instrument) else {}),
-        "leave_one_face_out": [{**asdict(face), "ratio": face.ratio} for face in left_out],
+        "leave_one_face_out": [{**asdict(face), "ratio": face.ratio} for face in calibration.left_out],
         "tip": None if denied else _tip(calibration),
         "noise": parts.noise_part(calibration),
-        "discrepancy": parts.discrepancy_part(calibration, denied=denied),
-        "identifiability": parts.what_is_seen(calibration, denied=denied),
-        "cures": [] if denied else parts.cures_part(calibration),
+        "discrepancy": parts.discrepancy_part(calibration),
+        "identifiability": parts.what_is_seen(calibration),
+        "cures": parts.cures_part(calibration),
         "dial_errors": [parts.dial_error_part(error) for error in calibration.dial_errors],
         "correlations": [{"names": [one, two], "value": value} for one, two, value in pairs],
         **parts.spreads(None if denied else calibration.covariance, calibration.seen.names, fit),
-        "warnings": warnings(calibration),
+        "warnings": warnings(calibration.unjudged),
         "prior_moves": asdict(calibration.prior_moves),
         "set_aside": [asdict(finding) for finding in calibration.aside],
         "down_weighted_lines": calibration.down_weighted,
@@ -122,7 +120,6 @@ def write_calibration(
     from casacal.calibration.page import report_page
     from casacal.calibration.pictures import save_plots
 
-    calibration = calibration.unjudged
     document = calibration_document(calibration, folder=folder)
     with together(folder, PLACED) as place:
         write_text(place / "report.html", report_page(calibration, document, command=command, box=box))
@@ -186,7 +183,7 @@ def truth_document(simulation: Simulation, source: ProblemFile, bound: BoundProb
     """The truth behind simulated samples, in the shape of result.json, but for a verdict, fitted rows and the seal."""
     x, samples = simulation.truth(bound), bound.measured
     truth = Result("truth", bound, x, Status.TRUTH, {}, steps=0, residual_rows=0, jacobian_rows=0)
-    rows = parts.parameter_rows(bound, x, np.zeros(bound.unknowns))
+    rows = parts.rows_of(bound, x, np.zeros(bound.unknowns), ["simulation"] * bound.unknowns)
     names = seen(bound, x)[0].names
     data = {
         "file": parts.seen_from(folder, samples.file),

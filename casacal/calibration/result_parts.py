@@ -7,7 +7,7 @@ import math
 import os
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -29,23 +29,10 @@ from casacal.least_squares.result import Result
 from casacal.problem.as_data import problem_data
 from casacal.problem.problem_file import ProblemFile
 from casacal.uncertainty.beside_geometry import DialError
-from casacal.uncertainty.identifiability import Identifiability, known_from
-from casacal.uncertainty.transfer import LeftOut
+from casacal.uncertainty.identifiability import known_from
 from casacal.version import __version__
 
 _LOG = logging.getLogger("casacal")
-
-
-def without_tips(found: Identifiability) -> Identifiability:
-    """The same directions, without what they do to the tip: NaN."""
-    null = tuple(replace(each, tip_mm=math.nan) for each in found.null)
-    weak = tuple(replace(each, tip_mm=math.nan) for each in found.weak)
-    return replace(found, null=null, weak=weak)
-
-
-def without_predictions(faces: Sequence[LeftOut]) -> tuple[LeftOut, ...]:
-    """The same faces, without what the others predict of them: NaN, and so their ratio."""
-    return tuple(replace(each, predicted_mm=math.nan) for each in faces)
 
 
 def head_of(source: ProblemFile, result: Result, seed: int, backend: str, folder: Path | None) -> dict[str, Any]:
@@ -83,19 +70,21 @@ def seen_from(folder: Path | None, file: str) -> str:
         return Path(file).resolve().as_posix()
 
 
-def parameter_rows(bound: BoundProblem, x: Array, stds: Array, *, denied: bool = False) -> list[dict[str, Any]]:
-    """One entry per number of a parameter: name, unit, nominal, estimate, std, known_from.
+def parameter_rows(calibration: Calibration) -> list[dict[str, Any]]:
+    """One entry per number of a parameter: name, unit, nominal, estimate, std, known_from."""
+    fit = calibration.fit
+    known = [known_from(*each) for each in zip(calibration.result.std.tolist(), fit.prior_std.tolist(), strict=True)]
+    return rows_of(fit, calibration.used_x, calibration.std, known)
 
-    Where the verdict denies the result, a standard deviation would be worth nothing: NaN.
-    """
+
+def rows_of(bound: BoundProblem, x: Array, stds: Array, known: Sequence[str]) -> list[dict[str, Any]]:
+    """The same of any unknowns x (n,), their standard deviations (n,), and what each is known from."""
     rows = []
     for name, unit, nominal, j in bound.parameters():
         if j is None:
             row = {"estimate": nominal, "std": 0.0, "known_from": "held"}
         else:
-            std = float(stds[j])
-            known = known_from(std, float(bound.prior_std[j]))
-            row = {"estimate": nominal + float(x[j]), "std": math.nan if denied else std, "known_from": known}
+            row = {"estimate": nominal + float(x[j]), "std": float(stds[j]), "known_from": known[j]}
         rows.append({"name": name, "unit": unit, "nominal": nominal, **row})
     return rows
 
@@ -126,7 +115,7 @@ def noise_part(calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def discrepancy_part(calibration: Calibration, *, denied: bool = False) -> dict[str, Any] | None:
+def discrepancy_part(calibration: Calibration) -> dict[str, Any] | None:
     """What arm and cell do beside their geometry: sizes, how well all that moves the tip is known, what columns tell.
 
     None where geometry was taken for all there is.
@@ -146,6 +135,7 @@ def discrepancy_part(calibration: Calibration, *, denied: bool = False) -> dict[
         if beside
     ]
     names, off = list(motion.arm.names), np.zeros(motion.x.size) if motion.off is None else motion.off
+    denied = bool(np.isnan(motion.covariance).any())
     known = {} if denied else {"covariance_of": names, "off": off, "covariance": motion.covariance}
     tried = [asdict(each) | {"corrected": each.corrected} for each in calibration.tried]
     corrected = list(calibration.corrected)
@@ -165,10 +155,9 @@ def dial_error_part(error: DialError) -> dict[str, Any]:
     return {**_parts(error, "key", "words", "chance", "size", "unit"), "shown": error.shown}
 
 
-def what_is_seen(calibration: Calibration, *, denied: bool = False) -> dict[str, Any]:
-    """Rank, null and weak directions, each with its cure; without tip errors where the verdict denies them."""
+def what_is_seen(calibration: Calibration) -> dict[str, Any]:
+    """Rank, null and weak directions, each with its cure; a tip error that is denied is NaN."""
     found, cures = calibration.identifiability, iter(calibration.advice)
-    found = without_tips(found) if denied else found
     return {
         **_parts(found, "unknowns", "rank", "condition", "singular_values"),
         "null": [{**_parts(d, "kind", "words", "tip_mm", "structural"), "cure": next(cures)} for d in found.null],

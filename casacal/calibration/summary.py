@@ -25,16 +25,16 @@ PLANNED = (
 
 def summary(calibration: Calibration, name: str) -> str:
     """Plain text of many lines; figures of accuracy are left out when the verdict denies them."""
-    calibration, verdict = calibration.unjudged, verdict_of(calibration)
+    verdict = verdict_of(calibration)
     denied = verdict.level == "do not use"
     parts = [
         _opening(calibration, name),
         "\n".join([*verdict_lines(calibration, verdict), *(f"- {reason}" for reason in verdict.reasons)]),
         tables.residuals(calibration).text(),
-        _left_out(calibration, denied),
+        _left_out(calibration),
         "" if denied else _accuracy(calibration),
         "" if denied else _most(calibration),
-        _parameters(calibration, denied),
+        _parameters(calibration),
         _blind_spots(calibration, denied),
         "" if denied else _next_steps(calibration),
         _beside(calibration),
@@ -100,15 +100,15 @@ def _most(calibration: Calibration) -> str:
     return "\n".join(["What moves the tip most, by one standard deviation each:", *lines]) if lines else ""
 
 
-def _left_out(calibration: Calibration, denied: bool) -> str:
+def _left_out(calibration: Calibration) -> str:
     if not calibration.left_out:
         return ""
     title = f"Each {calibration.fit.problem.words.group} by the others:"
-    return f"{title}\n{tables.left_out(calibration, denied=denied).text()}"
+    return f"{title}\n{tables.left_out(calibration).text()}"
 
 
-def _parameters(calibration: Calibration, denied: bool) -> str:
-    table, held = tables.parameters(calibration, denied=denied)
+def _parameters(calibration: Calibration) -> str:
+    table, held = tables.parameters(calibration)
     lines = [table.text()] if table.rows else []
     lines += [f"held at nominal: {', '.join(held)}"] if held else []
     if calibration.corrected:
@@ -119,7 +119,7 @@ def _parameters(calibration: Calibration, denied: bool) -> str:
 
 
 def _blind_spots(calibration: Calibration, denied: bool) -> str:
-    found, (costly, harmless) = calibration.identifiability, tables.directions(calibration, denied=denied)
+    found, (costly, harmless) = calibration.identifiability, tables.directions(calibration)
     lines = [
         f"What these samples show: {found.rank} of {found.unknowns} directions of the unknowns, {len(found.weak)} of "
         f"them weakly; {len(found.null)} not at all (null)"

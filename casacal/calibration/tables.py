@@ -12,7 +12,7 @@ from casacal import wording
 from casacal.calibration.calibration import NOT_NEEDED, Calibration
 from casacal.calibration.metrics import parts_of
 from casacal.calibration.motion import tip_error
-from casacal.calibration.result_parts import parameter_rows, without_predictions
+from casacal.calibration.result_parts import parameter_rows
 from casacal.pages.render import fixed, mm, shortened, shown_unit
 from casacal.uncertainty.identifiability import NullDirection, WeakDirection, correlated_pairs
 from casacal.wording import capital, listed, sized
@@ -57,16 +57,17 @@ def residuals(calibration: Calibration) -> Table:
     return Table([capital(words.residual), *figures_of], rows)
 
 
-def left_out(calibration: Calibration, *, denied: bool) -> Table:
-    """Each face as the arm predicts it that the others give; no prediction where the verdict denies it."""
-    faces = without_predictions(calibration.left_out) if denied else calibration.left_out
-    predicted = [] if denied else ["#Predicted, mm RMS", "#Found over predicted"]
+def left_out(calibration: Calibration) -> Table:
+    """Each face as the arm predicts it that the others give; no prediction where it is denied."""
+    faces = calibration.left_out
+    given = any(math.isfinite(face.predicted_mm) for face in faces)
+    predicted = ["#Predicted, mm RMS", "#Found over predicted"] if given else []
     rows = [
         [
             shortened(face.face, LONGEST),
             f"{face.rows:,}",
             fixed(face.actual_mm),
-            *([] if denied else [fixed(face.predicted_mm), fixed(face.ratio, 2)]),
+            *([fixed(face.predicted_mm), fixed(face.ratio, 2)] if given else []),
             f"{face.p:.2g}",
         ]
         for face in faces
@@ -75,11 +76,11 @@ def left_out(calibration: Calibration, *, denied: bool) -> Table:
     return Table([group, "#Rows", "#Found, mm RMS", *predicted, "#p"], rows)
 
 
-def parameters(calibration: Calibration, *, denied: bool) -> tuple[Table, list[str]]:
+def parameters(calibration: Calibration) -> tuple[Table, list[str]]:
     """Every free parameter, nominal and calibrated, angles in degrees; and the names of those that are held."""
     priors = dict(zip(calibration.fit.names, calibration.fit.prior_std.tolist(), strict=True))
     held, rows = [], []
-    for row in parameter_rows(calibration.fit, calibration.used_x, calibration.result.std, denied=denied):
+    for row in parameter_rows(calibration):
         if row["known_from"] == "held":
             held.append(row["name"])
             continue
@@ -110,7 +111,7 @@ def next_steps(calibration: Calibration) -> Table:
     return Table(["Next step", "#Tip error, RMS", "Recommended"], rows)
 
 
-def directions(calibration: Calibration, *, denied: bool) -> tuple[Table, list[str]]:
+def directions(calibration: Calibration) -> tuple[Table, list[str]]:
     """Null and weak directions with what lowers each, the costly ones first; and those that move no tip."""
     found = calibration.identifiability
     every: tuple[NullDirection | WeakDirection, ...] = (*found.null, *found.weak)
@@ -120,7 +121,9 @@ def directions(calibration: Calibration, *, denied: bool) -> tuple[Table, list[s
         if advice == NOT_NEEDED:
             harmless.append(f"{each.words} ({kind})")
         else:
-            costly.append([each.words, kind, "–" if denied else f"{each.tip_mm:.2g}", capital(advice)])
+            costly.append(
+                [each.words, kind, f"{each.tip_mm:.2g}" if math.isfinite(each.tip_mm) else "–", capital(advice)]
+            )
     return Table(["What changes unseen", "Kind", "#At the tip, mm", "Cure"], costly), harmless
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from casacal.calibration.result_parts import geometry, parameter_rows, seen_from
+from casacal.calibration.result_parts import geometry, rows_of, seen_from
 from casacal.calibration.verdict import GAIN
 from casacal.changes.change import CHANGED, Change
 from casacal.changes.posterior import State
@@ -17,6 +17,7 @@ from casacal.compensation.result_file import sealed
 from casacal.compensation.spread import position_stds
 from casacal.files import jsonable
 from casacal.samples.repeats import listing
+from casacal.uncertainty.identifiability import known_from
 from casacal.uncertainty.workspace import workspace_joints
 from casacal.verification.fresh import Fresh
 from casacal.verification.opened import Opened
@@ -31,6 +32,7 @@ def updated_document(given: Opened, fresh: Fresh, state: State, found: Change, f
     old, place = arm.document, Path(arm.file).parent
     files = [{**file, "path": _elsewhere(file["path"], place, folder)} for file in old["problem"].get("files", ())]
     stds = np.sqrt(np.maximum(np.diagonal(state.covariance), 0.0))
+    known = [known_from(*each) for each in zip(stds[:n].tolist(), bound.prior_std.tolist(), strict=True)]
     of_arm = np.flatnonzero([not key for key in bound.beside])
     effects = {row["name"] for row in (old.get("discrepancy") or {}).get("unknowns", ())}
     others = {name: n + i for i, name in enumerate(state.moved) if name not in effects}
@@ -43,7 +45,7 @@ def updated_document(given: Opened, fresh: Fresh, state: State, found: Change, f
         "converged": True,
         "data": _data(old, fresh, found, arm, folder),
         "cost": state.chi_square / 2,
-        "parameters": parameter_rows(bound, x, stds[:n]),
+        "parameters": rows_of(bound, x, stds[:n], known),
         **_geometry(old, geometry(bound, x), {name: state.moved[name] for name in others}),
         "metrics": None,
         "discrepancy": _discrepancy(given, fresh, state),

@@ -7,8 +7,9 @@ times 1 mrad and 1 mm, whatever the priors say; in the space that it sees, colum
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -82,6 +83,12 @@ class Identifiability:
     def count(self, kind: Kind) -> int:
         """Number of null directions of one kind."""
         return sum(direction.kind == kind for direction in self.null)
+
+    def without_tips(self) -> Identifiability:
+        """The same directions, without what they do to the tip: NaN."""
+        null = tuple(replace(each, tip_mm=math.nan) for each in self.null)
+        weak = tuple(replace(each, tip_mm=math.nan) for each in self.weak)
+        return replace(self, null=null, weak=weak)
 
 
 def identifiability(problem: LeastSquares, tip_jacobian: Array, tips: Array) -> Identifiability:

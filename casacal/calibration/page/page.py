@@ -40,8 +40,8 @@ def report_page(
     denied = document["verdict"]["level"] == "do not use"
     aside = [f"{data['set_aside']:,} set aside"] if data["set_aside"] else []
     aside += [f"{data['copies']:,} {'copy' if data['copies'] == 1 else 'copies'} left out"] if data["copies"] else []
-    parameters, held = tables.parameters(calibration, denied=denied)
-    costly, harmless = tables.directions(calibration, denied=denied)
+    parameters, held = tables.parameters(calibration)
+    costly, harmless = tables.directions(calibration)
     context = {
         "title": f"Calibration of {problem.robot.name} ({document['problem']['name']})",
         "document": document,
@@ -62,7 +62,7 @@ def report_page(
         "together": "" if data["heldout_by"] == "rows" or not data["heldout"] else f" by {data['heldout_by']}",
         "measured": [measured(touches, document) for touches in each],
         "residuals": tables.residuals(calibration),
-        "left_out": tables.left_out(calibration, denied=denied),
+        "left_out": tables.left_out(calibration),
         "noise": document["noise"],
         "noise_words": _noise(calibration, document["noise"]),
         "pictures": [
