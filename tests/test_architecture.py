@@ -45,7 +45,6 @@ ORDER = [
     "verification",
     "changes",
     "study",
-    "bench",
     "cli",
     "__main__",
 ]
@@ -56,7 +55,6 @@ EXTRAS = {
     "tables.workbooks": {"openpyxl"},
     "measuring.gauges": {"serial"},
     "cli.completion": {"shtab"},
-    "bench.rivals": {"pybotics", "robotkinecal", "roboticstoolbox", "figaroh", "pinocchio"},
 }
 """Packages that only some users need, and where they are asked for."""
 NUMPY_ONLY = {"least_squares", "uncertainty"}

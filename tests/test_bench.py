@@ -4,6 +4,7 @@ import gzip
 import hashlib
 import json
 import re
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,14 +13,24 @@ from conftest import ROOT
 from instruments_on_ur5 import PROBLEMS
 
 from casacal import Samples, load_problem, simulate
-from casacal.bench.benchmark import bench_lines, benchmark, mean_squares
-from casacal.bench.benchmark_set import folds, read_set, read_sets
-from casacal.bench.methods import WAYS, geometry_and_process, squares_of
 from casacal.cli.main import main
-from casacal.errors import CasacalError, UnknownNameError
+from casacal.errors import CasacalError, StudyError, UnknownNameError
 from casacal.samples.write import write_samples
+from casacal.study.benchmark import (
+    bench_lines,
+    benchmark,
+    folds,
+    read_set,
+    read_sets,
+    read_ways,
+    root_mean_square,
+    squares_of,
+)
 from casacal.study.description import Run
+from casacal.study.executors import errands
 from casacal.study.records import read_records
+from casacal.study.runs import tasks_of
+from studies.bench import methods
 
 PROBLEM = """
 from instruments_on_ur5 import PROBLEMS
@@ -44,6 +55,7 @@ method = "flat"
 figure = 1.7
 by = "nobody"
 """
+METHODS = str(ROOT / "studies" / "bench" / "methods.py")
 OWN = """
 import numpy as np
 
@@ -73,7 +85,8 @@ def place(tmp_path):
 
 
 def ran(place, *words):
-    return main(["bench", str(place / "sets"), "--data", str(place / "data"), "--out", str(place / "out"), *words])
+    words = ["--data", str(place / "data"), "--out", str(place / "out"), "--methods", METHODS, *words]
+    return main(["bench", str(place / "sets"), *words])
 
 
 def test_figures_are_those_of_the_residuals_that_a_method_returns(place, capsys):
@@ -106,6 +119,19 @@ def test_the_quick_form_has_one_block_of_every_set(place):
     assert [record["setting"] for record in records] == ["mine / blocked / 1"] * 2
 
 
+def test_workers_are_given_methods_that_they_can_import(place, monkeypatch):
+    def given(file):
+        study = benchmark(read_sets(place / "sets"), place / "data", read_ways([file]), quick=True)
+        return study, errands(study, tasks_of(study), None, False)[0]
+
+    (study, one), (_, other) = given(METHODS), given(place / "own.py")
+    (setting,), method = study.settings, "geometry (SciPy)"
+    assert one.study().fingerprint(setting, method) == study.fingerprint(setting, method)
+    monkeypatch.delitem(sys.modules, "casacal_study_own")
+    with pytest.raises(StudyError, match=r"cannot unpack the study: .*casacal_study_own.* into a package"):
+        other.study()
+
+
 def test_methods_rank_as_they_must(place):
     """On a simulated arm without anything beside its geometry, geometry wins over the drawing and over offsets."""
     bench = read_set(place / "sets" / "mine")
@@ -114,7 +140,7 @@ def test_methods_rank_as_they_must(place):
     fitted, unseen = folds(rows, "stated", bench.blocks, bench.stated)[0]
     parts = rows.take(fitted), rows.take(unseen)
     left = {
-        name: float(np.sqrt(squares_of(np.asarray(WAYS[name](problem, *parts)), "distance").mean()))
+        name: float(np.sqrt(squares_of(np.asarray(methods.methods[name](problem, *parts)), "distance").mean()))
         for name in ("as drawn", "joint offsets", "geometry (SciPy)", "geometry + Gaussian process")
     }
     assert left["as drawn"] > left["joint offsets"] > 3 * left["geometry (SciPy)"]
@@ -134,7 +160,7 @@ def test_a_process_over_the_joints_finds_what_geometry_cannot():
     some, rest = bent.take(rows[:190]), bent.take(rows[190:])
     with_it, without = (
         np.sqrt((np.asarray(way(problem, some, rest)) ** 2).sum(axis=1).mean())
-        for way in (geometry_and_process, WAYS["geometry (SciPy)"])
+        for way in (methods.geometry_and_process, methods.methods["geometry (SciPy)"])
     )
     assert with_it < 0.95 * without
 
@@ -174,10 +200,11 @@ def test_a_description_that_is_no_text_is_refused(place):
 
 def test_intervals_are_of_folds():
     squares, rows = np.array([4.0, 9.0, 1.0, 16.0]), np.array([4.0, 2.0, 4.0, 6.0])
-    value, low, high = mean_squares(squares, rows)
+    found = root_mean_square(squares, rows)
+    value, low, high = found.value, found.low, found.high
     assert value == pytest.approx(np.sqrt(30 / 16)), "every row counts once, however many a fold has"
     assert 0.5 < low < value < high < 2.0
-    assert np.isnan(mean_squares(squares[:1], rows[:1])[1])
+    assert np.isnan(root_mean_square(squares[:1], rows[:1]).low)
 
 
 @pytest.mark.parametrize(
@@ -189,14 +216,14 @@ def test_intervals_are_of_folds():
         ("figure = 1.7", "", "lacks a part"),
         ("[stated]", "[stated", "is no TOML"),
         ("there/rows.csv", "elsewhere.csv", "are not at"),
-        ("part = 0.25", "part = 25", "has part = 25"),
-        ("part = 0.25", "parts = 0.25", "has parts = 0.25"),
-        ("part = 0.25", "part = 0.25\nfolds = 4", "has folds = 4"),
-        ("seed = 3", 'seed = "three"', "has seed = 'three'"),
-        ("part = 0.25", "folds = 1", "has folds = 1"),
+        ("part = 0.25", "part = 25", "is part = 25, seed = 3"),
+        ("part = 0.25", "parts = 0.25", "is parts = 0.25, seed = 3"),
+        ("part = 0.25", "part = 0.25\nfolds = 4", "is part = 0.25, folds = 4"),
+        ("seed = 3", 'seed = "three"', "is part = 0.25, seed = 'three'"),
+        ("part = 0.25", "folds = 1", "is folds = 1"),
         ("part = 0.25", "folds = 61", "has 60 rows, and its split needs 61"),
         ("seed = 3", "rows = 500", "has 60 rows, and its split needs 500"),
-        ("part = 0.25\nseed = 3", 'column = "day"', "lacks value"),
+        ("part = 0.25\nseed = 3", 'column = "day"', "is column = 'day'. Use"),
         ("part = 0.25\nseed = 3", 'column = "night"\nvalue = "x"', "no column named 'night'"),
         ("[stated]\npart = 0.25\nseed = 3", "stated = 0.25", "is 0.25"),
         ('sha256 = "', 'sha256 = "0', "is not the file"),
@@ -218,10 +245,15 @@ def test_what_is_wrong_with_a_command_is_said(place, capsys, monkeypatch):
     for words, text, said in (
         (["bench", str(place / "sets")], "", "Name theirs with --data, or in CASACAL_DATA"),
         (["bench", str(place), "--data", str(place)], "", "There is no set of the benchmark"),
-        (["bench", str(place / "sets"), "--data", str(place / "data"), "--only", "yours"], "", "There are: mine"),
+        (["bench", str(place / "sets"), "--data", str(place / "data"), "--only", "yours"], "", "Known: mine"),
+        (["bench", str(place / "sets"), "--data", str(place / "data")], "", "--methods FILE"),
         (["bench", str(place / "sets"), "--data", str(place / "data"), "--methods", str(bad)], "x = 1", "no `methods`"),
         (["bench", str(place / "sets"), "--data", str(place / "data"), "--methods", str(bad)], "1/0", "ZeroDivision"),
-        (["bench", str(place / "sets"), "--data", str(place / "data"), "--method", "magic"], "", "named 'magic'"),
+        (
+            ["bench", str(place / "sets"), "--data", str(place / "data"), "--methods", METHODS, "--method", "magic"],
+            "",
+            "named 'magic'",
+        ),
     ):
         bad.write_text(text, encoding="utf-8")
         assert main([*words, "--out", str(place / "nothing")]) == 2
@@ -238,7 +270,7 @@ def test_sets_of_the_project_are_described_whole():
         assert len(each.sha256) == 64
         assert not list((ROOT / "studies" / "bench" / each.name).glob("*.csv"))
     with pytest.raises(CasacalError, match="are not at"):
-        benchmark(sets, ROOT)
+        benchmark(sets, ROOT, read_ways([METHODS]))
 
 
 def test_the_committed_report_is_what_its_records_make(tmp_path):
@@ -248,8 +280,9 @@ def test_the_committed_report_is_what_its_records_make(tmp_path):
     names = {key: dict.fromkeys(record[key] for record in records) for key in ("setting", "method")}
     study = SimpleNamespace(settings=names["setting"], methods=names["method"])
     lines = bench_lines(Run(study, tuple(records), tmp_path), read_sets(folder))
-    mark = "\n<!-- written by casacal bench -->\n"
-    assert "\n".join(lines) + "\n" + mark == (folder / "report.md").read_text(encoding="utf-8")
+    page, made, _ = (folder / "report.md").read_text(encoding="utf-8").partition("\n## How this was made\n")
+    assert made
+    assert "\n".join(lines) + "\n" == page
     for page, count in (("README.md", 27), ("docs/studies.md", 41)):
         table = (ROOT / page).read_text(encoding="utf-8").split("| set | as drawn |")[1].split("\n\n")[0]
         figures = re.findall(r"\d+\.\d{3}", table)

@@ -19,7 +19,7 @@ from casacal.doctor.axes import axes_of
 from casacal.doctor.words import diagnosis_text
 from casacal.errors import CasacalError, ProblemError, SamplesError
 from casacal.kinematics import rotate_x, rotate_z, translate_x, translate_z
-from casacal.robots.files.dh_file import dh_file_text, read_dh_file
+from casacal.robots.files.dh_text import dh_file_text, read_dh_file
 
 HSR = (ROOT / "problems" / "hsr_jr680").as_posix()
 QUARTER = math.pi / 2

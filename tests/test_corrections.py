@@ -26,7 +26,6 @@ from casacal import (
     tool_point,
     verify,
 )
-from casacal.bench.methods import left
 from casacal.calibration import motion
 from casacal.calibration.motion import used_arm
 from casacal.calibration.verdict import verdict_of
@@ -34,6 +33,7 @@ from casacal.cli.main import main
 from casacal.compensation.result_file import sealed
 from casacal.discrepancy import Backlash, Drift, GravitySag, TransmissionError, kit
 from casacal.export.forms import export
+from casacal.study.benchmark import left
 from casacal.uncertainty.discrepancy import at_most, times_found, with_effects
 from casacal.uncertainty.effect_sizes import Told, evidence
 from casacal.uncertainty.noise import found_noise

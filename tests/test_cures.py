@@ -33,8 +33,7 @@ from casacal.calibration.brief import best_cure, brief, fall, nothing_helps
 from casacal.calibration.result_json import calibration_document
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
-from casacal.planning.cures import NO_CURE, cures, outcomes
-from casacal.planning.extra_samples import extra_samples
+from casacal.planning.cures import NO_CURE, cures, extra_samples, outcomes
 from casacal.planning.extra_touches import Touches
 from casacal.planning.set_ups import offers
 from casacal.samples.samples import joined

@@ -9,9 +9,9 @@ import pytest
 from scipy.optimize import least_squares
 
 from casacal import Problem, Robot, Samples, Sockets, bind, calibrate, tool_point
-from casacal.bench import methods
-from casacal.bench.benchmark_set import STATED, folds, read_set
 from casacal.calibration.verdict import verdict_of
+from casacal.study.benchmark import STATED, folds, read_set
+from studies.bench import methods
 
 DATA = Path(os.environ.get("CASACAL_DATA", Path(__file__).parent.parent.parent / "shared" / "data"))
 

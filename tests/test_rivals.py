@@ -9,10 +9,9 @@ from instruments_on_ur5 import PROBLEMS
 from oracles import modified_dh_chain
 
 from casacal import CasacalError, Problem, Robot, TrackedPoint, bind, deg, load_problem, simulate, tool_point
-from casacal.bench import rivals
-from casacal.bench.lines import lines_of
-from casacal.bench.methods import WAYS, squares_of
-from casacal.cli.main import main
+from casacal.study.benchmark import squares_of
+from studies.bench import methods, packages
+from studies.bench.packages import lines_of
 
 UR5 = PROBLEMS["TrackedPoint"]
 PANDA = Problem(
@@ -46,12 +45,12 @@ def test_the_arm_that_packages_are_given_is_the_arm_as_drawn(problem, tmp_path):
     bound = bind(problem.without_effects, fitted)
     tips, lines = bound.tips(bound.x0, fitted.joints), lines_of(problem, fitted, "a package")
     first, *moves, tool = lines.moves
-    alpha, a, theta, d = np.array([np.zeros(4), *map(rivals._modified_dh, moves)]).T
+    alpha, a, theta, d = np.array([np.zeros(4), *map(packages._modified_dh, moves)]).T
     for q, tip in zip(fitted.joints, tips, strict=True):
         found = first @ modified_dh_chain(alpha, a, d, theta + q) @ tool
         np.testing.assert_allclose(found[:3, 3], tip, atol=1e-9)
     names = [f"joint{k}" for k in range(len(lines.axes))]
-    (tmp_path / "arm.urdf").write_text(rivals._urdf(lines, names))
+    (tmp_path / "arm.urdf").write_text(packages._urdf(lines, names))
     again = Problem(Robot.from_urdf(tmp_path / "arm.urdf", base="link0", tip="tip"), TrackedPoint(noise_std=0.1))
     other = bind(again, fitted)
     flange = other.poses(other.x0, fitted.joints)[:, :3, 3]
@@ -71,14 +70,14 @@ def test_a_package_finds_the_arm_of_casacals_own_fit(package, capsys):
     pytest.importorskip(package)
     problem, (fitted, unseen) = UR5, rows(UR5)
     before = np.random.get_state()[1].copy()  # noqa: NPY002
-    theirs = np.asarray(rivals.PACKAGES[package](problem, fitted, unseen))
+    theirs = np.asarray(packages.methods[package](problem, fitted, unseen))
     assert (np.random.get_state()[1] == before).all()  # noqa: NPY002
     assert capsys.readouterr().out == ""
-    mine = np.asarray(WAYS["geometry (SciPy)"](problem, fitted, unseen))
+    mine = np.asarray(methods.methods["geometry (SciPy)"](problem, fitted, unseen))
     assert rms(theirs) == pytest.approx(rms(mine), rel=0.1)
-    assert rms(mine) < 0.1 * rms(WAYS["as drawn"](problem, fitted, unseen))
+    assert rms(mine) < 0.1 * rms(methods.methods["as drawn"](problem, fitted, unseen))
     np.random.random(3)  # noqa: NPY002
-    again = np.asarray(rivals.PACKAGES[package](problem, fitted, unseen))
+    again = np.asarray(packages.methods[package](problem, fitted, unseen))
     np.testing.assert_array_equal(theirs, again)
 
 
@@ -89,33 +88,28 @@ def test_pybotics_starts_at_the_drawing_and_ends_nearer(monkeypatch):
     still = lambda function, start, args: dataclasses.make_dataclass("Found", ["x"])(start)  # noqa: E731
     drawn = bound.plain_residual(bound.x0).reshape(-1, 3)
     with monkeypatch.context() as patch:
-        patch.setattr(rivals, "least_squares", still)
-        np.testing.assert_allclose(rivals.by_pybotics(PANDA, fitted, fitted), drawn, atol=1e-6)
-    found = rms(rivals.by_pybotics(PANDA, fitted, unseen))
-    assert found < 0.5 * rms(WAYS["as drawn"](PANDA, fitted, unseen))
+        patch.setattr(packages, "least_squares", still)
+        np.testing.assert_allclose(packages.by_pybotics(PANDA, fitted, fitted), drawn, atol=1e-6)
+    found = rms(packages.by_pybotics(PANDA, fitted, unseen))
+    assert found < 0.5 * rms(methods.methods["as drawn"](PANDA, fitted, unseen))
 
 
-@pytest.mark.parametrize("package", rivals.PACKAGES)
+@pytest.mark.parametrize("package", packages.methods)
 def test_what_no_package_takes_is_said(package):
     wire = PROBLEMS["Distance"]
     some = simulate(wire, samples=60, seed=1).samples
     with pytest.raises(CasacalError, match=f"{package} fits points read in one frame.*measured by Distance. Leave"):
-        rivals.PACKAGES[package](wire, some, some)
+        packages.methods[package](wire, some, some)
     sliding = Robot.from_dh(
         "slider", alpha=deg(90, 0, 90), a=(0, 300, 0), d=(100, 0, 50), theta=(0, 0, 0), joints="PRR"
     )
     arm = Problem(sliding, TrackedPoint(noise_std=0.1))
     with pytest.raises(CasacalError, match="arms of revolute joints"):
-        rivals.PACKAGES[package](arm, some, some)
+        packages.methods[package](arm, some, some)
 
 
-def test_a_package_that_is_absent_is_left_out_in_a_sentence(tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize("package", packages.methods)
+def test_a_package_that_is_absent_says_so(package, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    words = ["bench", str(ROOT / "studies" / "bench" / "panda_left"), "--data", str(tmp_path), "--out", str(tmp_path)]
-    assert main([*words, "--method", "pybotics"]) == 2
-    assert "pybotics is not installed. Install it with pip install 'casacal[pybotics]'" in capsys.readouterr().err
-    assert main([*words, "--method", "as drawn", "--packages"]) == 2, "there is no data"
-    err = capsys.readouterr().err
-    assert err.count("is not installed, and left out") == 3
-    assert main([*words, "--method", "pybotic"]) == 2
-    assert "pybotics" in capsys.readouterr().err
+    with pytest.raises(CasacalError, match=rf"{package} is not installed\. Install .* 'casacal\[{package}\]'"):
+        packages.methods[package](UR5, *rows(UR5))

@@ -1,19 +1,15 @@
-"""`casacal bench`: compare methods on public data sets, on rows they have not seen."""
+"""`casacal bench`: a study of public data sets, and of methods that are judged on rows they have not seen."""
 
 from __future__ import annotations
 
 import argparse
 import os
+import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, add
-from casacal.cli.study import Progress
-from casacal.cli.terminal import complain, say_paragraphs
-from casacal.errors import CasacalError, refuse_unknown, said
-
-if TYPE_CHECKING:
-    from casacal.bench.methods import Way
+from casacal.cli.common import add
+from casacal.cli.study import add_running, run_source
+from casacal.errors import CasacalError, refuse_unknown
 
 HELP = "compare methods on public data sets, on rows they have not seen"
 WHERE = "CASACAL_DATA"
@@ -28,77 +24,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "SETS", "a folder of sets, such as studies/bench, or one set's own folder")
     add(parser, "--data DIR", f"where the measurements are; default: {WHERE}")
     add(parser, "--only NAME ...", "this set; may be repeated")
-    words = "a Python file with `methods`, functions (problem, fitted, unseen) by name, to compare as well"
-    add(parser, "--methods FILE", words)
-    add(parser, "--method NAME ...", "this method, or package; may be repeated")
-    add(parser, "--packages", "also pybotics, robotkinecal and figaroh, where they are installed")
+    words = (
+        "a Python file with `methods`, functions (problem, fitted, unseen) by name, to compare besides those of the "
+        "methods.py among the sets; may be repeated"
+    )
+    add(parser, "--methods FILE ...", words)
+    add(parser, "--method NAME ...", "this method; may be repeated")
     add(parser, "--quick", "few rows, one block of each set: a minute or two")
-    add(parser, "--workers N", "local processes; default: 1", kind=int, default=1)
-    add(parser, "--resume", "keep the records in DIR and run only what is missing")
-    add(parser, "--out DIR", "folder for records and report", default="out/bench")
+    add_running(parser)
+    parser.set_defaults(trials=None)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the benchmark as the options say; returns 0."""
-    from casacal.bench.benchmark import bench_lines, benchmark
-    from casacal.bench.benchmark_set import DESCRIPTION, read_set, read_sets
-    from casacal.bench.methods import WAYS
-    from casacal.files import write_text
-    from casacal.study import runs
+    """Run the study of the sets as the options say; returns 0, or 130."""
+    from casacal.study.benchmark import METHODS, bench_lines, benchmark, read_sets, read_ways
+    from casacal.study.study_file import StudyFile
 
     data = options.data or os.environ.get(WHERE, "")
     if not data or not Path(data).is_dir():
         came = f"'{data}' is no folder of measurements" if data else "No folder of measurements was named"
         raise CasacalError(came, f"Name theirs with --data, or in {WHERE}; the sets say where to get them")
-    one = (Path(options.sets) / DESCRIPTION).is_file()
-    sets = (read_set(options.sets),) if one else read_sets(options.sets)
+    sets = read_sets(options.sets)
     if options.only:
-        lost = [name for name in options.only if name not in {each.name for each in sets}]
-        if lost:
-            known = ", ".join(each.name for each in sets)
-            raise CasacalError(f"There is no set '{lost[0]}' in '{options.sets}'", f"There are: {known}")
+        refuse_unknown(f"set in '{options.sets}'", options.only, [each.name for each in sets])
         sets = tuple(each for each in sets if each.name in options.only)
-    ways = _asked({**WAYS, **_own(options.methods)}, options)
-    study, out = benchmark(sets, data, ways, quick=options.quick), Path(options.out)
-    with Progress("bench", lambda: None) as progress:
-        made = runs.run(
-            study, out, quick=options.quick, workers=options.workers, resume=options.resume, progress=progress
-        )
-    path = out / "report.md"
-    write_text(path, "\n".join([*bench_lines(made, sets), "", "<!-- written by casacal bench -->"]) + "\n")
-    say_paragraphs(f"{len(made.records)} records, SHA-256 without timings {made.digest}. Written: {path.as_posix()}")
-    return DONE
-
-
-def _asked(ways: dict[str, Way], options: argparse.Namespace) -> dict[str, Way]:
-    """The methods that are asked for; of packages those that are installed, of the others a word."""
-    from casacal.bench.rivals import PACKAGES, absent
-
-    known = ways | {name: way for name, way in PACKAGES.items() if name not in ways}
-    refuse_unknown("method of the benchmark", options.method, known)
-    asked = options.method or list(ways)
-    asked += [name for name in PACKAGES if options.packages and name not in asked]
-    lost = {name: absent(name) for name in asked if name in PACKAGES and name not in ways}
-    found = {name: way for name, way in known.items() if name in asked and not lost.get(name)}
-    for words in filter(None, lost.values()):
-        if not found:
-            raise CasacalError(words.partition(", and")[0], words.partition(". ")[2])
-        complain(words)
-    return found
-
-
-def _own(file: str | None) -> dict[str, Way]:
-    """The methods that a user's file defines; raises CasacalError where it defines none."""
-    from casacal.user_code import run_file
-
-    if file is None:
-        return {}
-    if not Path(file).is_file():
-        raise CasacalError(f"There is no file '{file}'", "Name a Python file that defines `methods`")
-    try:
-        found = vars(run_file(file)).get("methods")
-    except (Exception, SystemExit) as error:  # a user's file may raise anything
-        raise CasacalError(f"{file}: {said(error)}", "Mend the file") from error
-    if not isinstance(found, dict) or not found or not all(callable(way) for way in found.values()):
-        raise CasacalError(f"{file} defines no `methods`", 'Add methods = {"mine": mine}, functions by name')
-    return {str(name): way for name, way in found.items()}
+    beside = Path(sets[0].folder).resolve().parent / METHODS
+    ways = read_ways([*([beside] if beside.is_file() or not options.methods else []), *options.methods])
+    refuse_unknown("method of the benchmark", options.method, ways)
+    ways = {name: way for name, way in ways.items() if name in (options.method or ways)}
+    study = benchmark(sets, data, ways, quick=options.quick)
+    asked = [f"--{key} {shlex.quote(value)}" for key in ("only", "methods", "method") for value in vars(options)[key]]
+    command = " ".join(["casacal bench", options.sets, *asked])
+    source = StudyFile("bench", (command,), None, study, study, lambda made: bench_lines(made, sets), None)
+    return run_source(source, options)

@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.problem.new import new_from_dh, new_from_urdf
     from casacal.problem.problem_text import Given
     from casacal.robots.files.dh_fields import BLOCK_FIELDS
-    from casacal.robots.files.dh_file import unread_keys
+    from casacal.robots.files.dh_text import unread_keys
 
     sign = None if options.sign is None else int(options.sign)
     tool = None if options.tool is None else _triple(options.tool)

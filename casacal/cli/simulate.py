@@ -8,15 +8,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.adjust import TABLE, number_or_range, on_table
+from casacal.cli.adjust import TABLE, number_or_range, on_table, table_of
 from casacal.cli.common import DONE, JSON, PROBLEM, add, spare, whole_number
-from casacal.cli.simulate_plan import compared, left_out, parted, route_of
 from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
+    from casacal.planning.route import Route
     from casacal.problem.cell import Disturbances
     from casacal.problem.problem_file import ProblemFile
+    from casacal.robots.robot import Robot
     from casacal.samples.samples import Samples
     from casacal.simulation.simulate import Simulation
 
@@ -87,14 +88,14 @@ def run(options: argparse.Namespace) -> int:
         fix = f"Name it {out.with_suffix('.csv').name}"
         raise CasacalError(f"simulate writes CSV, but '{out}' does not end in .csv", fix)
     source = load_problem(options.problem)
-    route, cell = route_of(source, options), _cell(source, options)
+    route, cell = _route(source, options), _cell(source, options)
     checks = out.with_name(f"{out.stem}_check{out.suffix}")
     for place in (*sample_paths(out, source.problem.names), *([] if route is None else [checks])):
         spare([place, out.with_suffix(".truth.json")], *(file.path for file in source.files), options.plan)
     counts = _counts(source, options.samples) if route is None else route.samples
     simulation = simulate(source.problem, cell, samples=counts, seed=options.seed, session=options.session)
-    made = None if route is None else simulation.samples
-    simulation, kept = parted(simulation, route)
+    lost, warned, remarks = _compared(route, simulation, source.problem.robot)
+    simulation, kept = _parted(simulation, route)
     before, after = planned_accuracy(bind(source.problem.without_effects, simulation.measured))
     paths = write_simulation(simulation, source, out, None if kept is None else (checks, kept))
     written = [path.as_posix() for path in paths]
@@ -102,25 +103,92 @@ def run(options: argparse.Namespace) -> int:
         faces = [face.label for face in cell.faces] if isinstance(cell, Cell) else []
         tip = {"before_rms_mm": before, "after_rms_mm": after}
         found = {"samples": len(simulation.measured), "faces": faces, "tip": tip, "written": written}
-        if route is not None and made is not None:
-            warned, _ = compared(route, made, source.problem.robot)
-            found |= {"kept": 0 if kept is None else len(kept), "left_out": left_out(route, made), "warnings": warned}
+        if route is not None:
+            found |= {"kept": 0 if kept is None else len(kept), "left_out": lost, "warnings": warned}
         say_json(found)
         return DONE
     say_paragraphs(f"Simulated, not measured: {_counted(simulation, kept)} {_where(cell, options.plan)}")
-    if route is not None and made is not None:
-        warned, remarks = compared(route, made, source.problem.robot)
-        say_paragraphs(*(f"warning: {each}" for each in warned), *remarks)
+    say_paragraphs(*(f"warning: {each}" for each in warned), *remarks)
     say_paragraphs(
         "Samples like these should reduce the tip error over the workspace, apart from the position of the base, from "
         f"{f'{before:.2f}' if before < METRE else UNBOUNDED} to {after:.2f} mm RMS, if the stated noise and priors are "
         "right"
     )
     say_paragraphs(*_beside(simulation))
-    if kept is None and checks.is_file() and _is_simulated(checks):
+    if kept is None and checks.is_file() and checks.read_bytes().startswith(b"# simulated by casacal"):
         say_paragraphs(f"warning: {checks.as_posix()} is there from before; it is not of this simulation")
     say_paragraphs(f"Written: {', '.join(written)}")
     return DONE
+
+
+def _route(source: ProblemFile, options: argparse.Namespace) -> Route | None:
+    """The plan in whose postures to measure, if any."""
+    from casacal.planning.route import CHECK, read_route, refuse_plan_of_another
+
+    if options.plan is None:
+        return None
+    asked = [f"--{name}" for name in ("samples", "repeats", "tilt") if getattr(options, name)]
+    if asked:
+        raise CasacalError(f"Got --plan and {asked[0]}", "Give one of them: a plan says what is touched")
+    if len(names := source.problem.names) > 1:
+        what = f"A plan is of one instrument, and the problem has {', '.join(names)}"
+        raise CasacalError(what, "Leave --plan out: simulate measures with all of them")
+    found = read_route(options.plan, source.problem.layout())
+    refuse_plan_of_another(options.plan, source.name, table_of(source, options))
+    if set(found.purposes) == {CHECK}:
+        raise CasacalError(f"All touches of {options.plan} are kept to verify", "Give a plan with touches to fit")
+    return found
+
+
+SEEN = 1e-3  # degrees, or hundredths of a mm, that a controller shows
+MOVED = 10.0  # degrees, or tens of mm, beyond which a posture is another one than the plan's
+
+
+def _compared(route: Route | None, simulation: Simulation, robot: Robot) -> tuple[list[int], list[str], list[str]]:
+    """Numbers of the touches of a plan that the true arm could not make; warnings and remarks on these and others.
+
+    Others were moved until they touched.
+    """
+    import numpy as np
+
+    from casacal.wording import counted, shortened
+
+    if route is None:
+        return [], [], []
+    made, warned, remarks = simulation.samples, list[str](), list[str]()
+    if lost := sorted(set(range(1, len(route) + 1)) - set(made.lines)):
+        numbers = shortened([str(number) for number in lost])
+        warned.append(
+            f"{counted(len(lost), 'touch')} of the plan cannot be made by the true arm within the range of "
+            f"joints and readings: {numbers}. Left out"
+        )
+    apart = np.abs(made.joints - route.samples.joints[np.array(made.lines) - 1])
+    apart = (np.where(robot.revolute, np.degrees(apart), apart / 10)).max(axis=1)
+    if moved := int((apart > SEEN).sum()):
+        most = f"{apart.max():.2g} degrees" + ("" if robot.revolute.all() else f", or {10 * apart.max():.2g} mm")
+        text = f"{counted(moved, 'posture')} moved by up to {most}, until the tip touched"
+        text += " within the travel of the dial" if made.columns else ""
+        if apart.max() > MOVED:
+            warned.append(f"{text}. The plan looks as if made for another arm, tool or cell")
+        else:
+            remarks.append(text)
+    return lost, warned, remarks
+
+
+def _parted(simulation: Simulation, route: Route | None) -> tuple[Simulation, Samples | None]:
+    """What is to be fitted, and the rows that the plan keeps to verify, if any."""
+    from casacal.planning.route import CHECK
+    from casacal.samples.measurements import Measurements
+
+    if route is None:
+        return simulation, None
+    purposes = tuple(route.purposes[line - 1] for line in simulation.samples.lines)
+    rows = replace(simulation.samples, extra={"purpose": purposes})
+    check = [k for k, purpose in enumerate(purposes) if purpose == CHECK]
+    fit = [k for k, purpose in enumerate(purposes) if purpose != CHECK]
+    if not fit:
+        raise CasacalError(f"The true arm can make none of the touches to fit of {rows.file}", "Plan others")
+    return replace(simulation, measured=Measurements.of(rows.take(fit))), rows.take(check) if check else None
 
 
 def _counted(simulation: Simulation, kept: Samples | None) -> str:
@@ -157,11 +225,6 @@ def _beside(simulation: Simulation) -> list[str]:
             "error, is in Simulation.true_tips (Python)"
         )
     return said
-
-
-def _is_simulated(path: Path) -> bool:
-    with path.open("rb") as file:
-        return file.read(64).startswith(b"# simulated by casacal")
 
 
 def _counts(source: ProblemFile, given: list[str]) -> dict[str, int]:

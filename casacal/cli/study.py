@@ -30,6 +30,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "STUDY", "a Python file such as studies/paper.py")
     add(parser, "--quick", "the short form of the study, less than a minute")
     add(parser, "--trials N", "trials per setting; default: the study's own", kind=int)
+    add_running(parser)
+
+
+def add_running(parser: argparse.ArgumentParser) -> None:
+    """Who makes the records of a study, and where they go."""
     add(parser, "--workers N", "local processes; default: 1", kind=int, default=1)
     add(parser, "--scheduler ADDRESS", "a Dask scheduler, such as tcp://host:8786")
     add(parser, "--shard I/N", "run only the I-th of N parts of the trials, to be merged later")
@@ -46,18 +51,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run a study file as the options say; returns 0, also where it says why it is skipped, or 130."""
+    from casacal.study.study_file import load_study
+
+    return run_source(load_study(options.study), options)
+
+
+def run_source(source: StudyFile, options: argparse.Namespace) -> int:
+    """Run a study and write its report as the options say; returns as `run` does."""
     try:
-        return _study(options)
+        return _study(source, options)
     except KeyboardInterrupt:
         complain("Interrupted. The records so far are kept; --resume continues from there.")
         return INTERRUPTED
 
 
-def _study(options: argparse.Namespace) -> int:
+def _study(source: StudyFile, options: argparse.Namespace) -> int:
     from casacal.study import Run
-    from casacal.study.study_file import load_study, machine, note_machines, write_report
+    from casacal.study.study_file import machine, note_machines, write_report
 
-    source = load_study(options.study)
     if source.skipped and not options.report:
         say_paragraphs(f"Skipped: {source.skipped}")
         return DONE
@@ -70,9 +81,8 @@ def _study(options: argparse.Namespace) -> int:
         run = _made(source, study, out, options)
         say_paragraphs(f"{len(run.records)} records in {out.as_posix()}, SHA-256 without timings {run.digest}")
         if options.shard is not None:
-            say_paragraphs(
-                f"Shard {options.shard}. When all are done: casacal study {source.path} --merge DIR DIR ... --out DIR"
-            )
+            again = f"{source.commands[0]} --merge DIR DIR ... --out DIR"
+            say_paragraphs(f"Shard {options.shard}. When all are done: {again}")
             return DONE
     said = (" --quick" if options.quick else "") + (f" --trials {options.trials}" if options.trials is not None else "")
     say_paragraphs(f"Written: {write_report(source, run, said).as_posix()}")

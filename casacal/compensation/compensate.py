@@ -16,12 +16,11 @@ import numpy as np
 
 from casacal.array_types import Array, Rows
 from casacal.compensation.arm import FRAMES, CalibratedArm, covariance_of, local_coordinates, row_constants
-from casacal.compensation.inverse_kinematics import PosedArm, postures
+from casacal.compensation.inverse_kinematics import PosedArm, postures, turning
 from casacal.compensation.predict import predict
 from casacal.compensation.result_file import arm_from
 from casacal.compensation.targets import Compensation, Outcome, Rounding, Targets, rows_with, targets_from
 from casacal.compensation.told import Told
-from casacal.compensation.turns import turning
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.robots.joint_space import joint_units
 

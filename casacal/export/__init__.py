@@ -6,7 +6,7 @@ held them. Each form that has comments says what tip error to expect.
 
 from casacal.export.c_code import c_text
 from casacal.export.controllers import ZeroCorrections, ur_kinematics_text, zero_corrections, zeros_text
-from casacal.export.dh import dh_text
+from casacal.export.forms import dh_text
 from casacal.export.remark import remark
 from casacal.export.urdf import urdf_text
 

@@ -1,21 +1,23 @@
-"""The forms by name: one door for the command line and for Python."""
+"""The forms by name, one door for the command line and for Python; and the DH table, the simplest of them."""
 
 from __future__ import annotations
 
+import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
-from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.arm import CalibratedArm, arm_values
 from casacal.compensation.result_file import arm_from
 from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.export.c_code import c_text
 from casacal.export.controllers import ur_kinematics_text, zeros_text
-from casacal.export.dh import dh_text
 from casacal.export.functions import casadi_text
-from casacal.export.remark import MARK, remark
+from casacal.export.remark import MARK, other_forms, remark
 from casacal.export.urdf import urdf_text
 from casacal.files import MADE, write_text
-from casacal.robots.files.dh_file import is_toml
+from casacal.robots.dh_table import DHTable
+from casacal.robots.files.dh_text import dh_file_text, is_toml
 
 FORMS = ("dh", "urdf", "zeros", "ur", "c", "casadi")
 """DH table (CSV, or TOML by the file's name), URDF, zero corrections (CSV), ur_description's kinematics, C99, and
@@ -63,6 +65,23 @@ def export(
     if path is not None:
         write_text(path, text)
     return text
+
+
+def dh_text(result: CalibratedArm, *, toml: bool = False) -> str:
+    """The calibrated DH table in its own convention, with the controller's joint signs, offsets and coupling.
+
+    result: of a robot built by `Robot.from_dh` or `from_dh_file`; where axes are parallel, Hayati's `beta` stands in
+    place of `d`. toml: TOML in place of CSV. Raises CasacalError for other robots.
+    """
+    result = arm_from(result)
+    arm = result.source.problem.robot.arm
+    if not isinstance(arm, DHTable):
+        fix = other_forms(result.source.problem.robot)
+        raise CasacalError(f"'{result.source.problem.robot.name}' was not built from a DH table", fix)
+    table = arm.at(arm_values(result))
+    table = replace(table, alpha=tuple(math.remainder(twist, math.tau) for twist in table.alpha))  # as files have it
+    text = dh_file_text(table, "arm.toml" if toml else "arm.csv")
+    return "".join(f"# {line}\n" for line in remark(result, form="dh")) + text
 
 
 def _remarked(text: str, arm: CalibratedArm) -> str:

@@ -46,6 +46,11 @@ def rendered(template: str, context: Mapping[str, object]) -> str:
     return _templates().get_template(template).render(context)
 
 
+def plain_text(template: str, context: Mapping[str, object]) -> str:
+    """A text from templates/ with what it is given as it stands."""
+    return _templates().overlay(autoescape=False, finalize=None).get_template(template).render(context)
+
+
 @cache
 def _templates() -> Environment:
     made = Environment(

@@ -20,12 +20,14 @@ from casacal.errors import CasacalError
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.planning.choice import Choice
 from casacal.planning.estimate import Estimate
-from casacal.planning.extra_samples import extra_samples
 from casacal.planning.extra_touches import Touches
 from casacal.planning.set_ups import EXTRA_TOUCHES, Offer, more_samples, offers
-from casacal.problem.cell import Cell
+from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
+from casacal.simulation.bench import bench_of
+from casacal.simulation.rows import exact_rows
+from casacal.simulation.true_arm import Draw
 from casacal.uncertainty.identifiability import NullDirection, WeakDirection, prior_scale
 from casacal.uncertainty.workspace import tip_stds, tool_unknowns, without_rigid, workspace_joints
 from casacal.wording import listed
@@ -37,6 +39,9 @@ SETTLES = 0.5  # part of a direction's standard deviation below which a cure set
 LOWERS = 0.95  # the same below which a cure helps at all
 MOST_TILT = math.radians(85.0)  # tilt of a plunger that hardly touches a face: such an arm is not understood
 NO_CURE = "none of those tried helps; rely on the prior"
+POOL = 240  # samples that are drawn, to choose among
+ROUNDS = 3  # times that their postures are sought; what is not found then is hard to reach
+FEWEST = 120  # samples without which there is nothing to choose among
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,3 +207,19 @@ def _spread(covariance: Array, along: Array) -> float:
         return float("inf")
     held = np.where(np.isfinite(covariance), covariance, 0.0)
     return math.sqrt(max(float(along @ held @ along), 0.0))
+
+
+def extra_samples(bound: BoundProblem, x: Array) -> Samples | None:
+    """Rows at x (n,) in random postures, with labels as those that there are; None where hardly any can be taken.
+
+    Also None for one of many labels, whose unknowns were taken out, and for what touches faces.
+    """
+    problem, samples, rng = bound.problem.without_effects, bound.samples[0], np.random.default_rng(0)
+    if len(bound.samples) > 1 or bound.groups is not None or problem.instrument.probe is not None:
+        return None
+    stands = {slot.name: x[slot.columns] for slot in bound.slots}
+    draw = Draw(0, known=stands, nominals={slot.name: slot.nominal for slot in bound.slots})
+    labels = samples.take(rng.integers(len(samples), size=POOL)).labels
+    bench = bench_of(problem, Disturbances(error_scale=0.0), labels, rng, POOL, draw)
+    found = exact_rows(bench, labels, rng, rounds=ROUNDS)
+    return found if len(found) >= FEWEST else None

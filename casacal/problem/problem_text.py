@@ -17,28 +17,6 @@ FINEST = 0.01  # mm; an accuracy below it was given in metres
 FILL_IN = "TO FILL IN"  # what marks a line that nobody has looked at yet
 
 
-DIAL = """# The tip at reading zero, in the flange frame, and how far off that may be: a rule is good for a
-# millimetre, the samples say the rest.{todo[tool]}
-tool = tool_point({tool}, prior_std=1.0)
-
-# sign=-1: a larger reading shortens the tool, as on a dial whose plunger is pushed in. sign=+1: a larger
-# reading lengthens it. noise_std is the repeatability of one reading, mm.{todo[sign]}
-# travel is the range of the dial, mm: 10, or (-5, 5) where it was set to zero in the middle.{todo[travel]}
-# A dial may show 0.15 % too much or too little of every way, unless its certificate says better: touches
-# of planes cannot tell.
-dial = DialOnPlane(noise_std=0.01, sign={sign}, travel={travel}, tool=tool, gain=dial_gain(0.15))
-
-{problem}
-"""
-UNKNOWN_MAKER = f"""\
-# Every parameter of the arm may be wrong by 0.7 mm or 1 mrad, as industrial arms are. Who knows what
-# absolute accuracy the maker states writes scaled_to_accuracy(Problem(robot, dial), MM) instead.
-# {FILL_IN}.
-problem = Problem(robot, dial)"""
-KNOWN_MAKER = """# Errors of the parameters are scaled so that they explain the accuracy that the maker states, mm.
-problem = scaled_to_accuracy(Problem(robot, dial), {accuracy})"""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Given:
     """What a user says of a cell when its problem is made; None for what was not said.
@@ -72,17 +50,16 @@ class Given:
         return ["DialOnPlane", "dial_gain", "tool_point", *scaled]
 
     @property
-    def text(self) -> str:
-        """The end of problem.py: tool, dial, problem."""
-        todo = {name: "" if value is not None else f" {FILL_IN}." for name, value in vars(self).items()}
+    def told(self) -> dict[str, object]:
+        """What templates/problem.py.txt says of tool, dial and maker."""
         travel = 10.0 if self.travel is None else self.travel
-        return DIAL.format(
-            tool=", ".join(map(plain, self.tool or (0.0, 0.0, 0.0))),
-            sign="+1" if self.sign == 1 else "-1",
-            travel=f"({', '.join(map(plain, travel))})" if isinstance(travel, tuple) else plain(travel),
-            todo=todo,
-            problem=UNKNOWN_MAKER if self.accuracy is None else KNOWN_MAKER.format(accuracy=plain(self.accuracy)),
-        )
+        return {
+            "todo": {name: "" if value is not None else f" {FILL_IN}." for name, value in vars(self).items()},
+            "tool": ", ".join(map(plain, self.tool or (0.0, 0.0, 0.0))),
+            "sign": "+1" if self.sign == 1 else "-1",
+            "travel": f"({', '.join(map(plain, travel))})" if isinstance(travel, tuple) else plain(travel),
+            "accuracy": None if self.accuracy is None else plain(self.accuracy),
+        }
 
     @property
     def missing(self) -> list[str]:

@@ -14,7 +14,7 @@ from casacal.array_types import Array, Rows
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression
 from casacal.robots.dh_table import DHTable, Stds
-from casacal.robots.files.dh_file import read_dh_file
+from casacal.robots.files.dh_text import read_dh_file
 from casacal.robots.function_pose import FromFunction
 from casacal.robots.joints import Conventions, Joint, joints_of
 from casacal.robots.traced_pose import Screws, TracedPose, check_parameters, traced, travels, triples

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 
@@ -9,14 +10,14 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.errors import SimulationError, came
+from casacal.errors import SamplesError, SimulationError, came
 from casacal.estimators import lm
 from casacal.least_squares.restricted import Restricted
 from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
+from casacal.samples.layout import Layout
 from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
-from casacal.simulation.asked import counts_of, postures_of
 from casacal.simulation.faults import ArmErrors, DialErrors, waved
 from casacal.simulation.reach import Touch
 from casacal.simulation.rows import fitting_rows
@@ -24,6 +25,9 @@ from casacal.simulation.session import touched_rows
 from casacal.simulation.touches import default_cell, refuse_lost_steps
 from casacal.simulation.true_arm import Draw, check_asked, frame_coordinates, plane_coordinates
 from casacal.values import FrozenMapping, Value
+
+ROUNDED = 1e-5  # rad or mm by which postures of a file may be beyond a joint's limit
+MOST_SAMPLES = 1_000_000  # rows beyond which drawing postures takes hours
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -212,14 +216,61 @@ def simulate(
     if cell is not None and not isinstance(cell, Disturbances):
         raise SimulationError(f"Got {came(cell)} as the cell", "Give a Cell(faces=...), or Disturbances(...)")
     if isinstance(samples, Samples):
-        found = simulate_one(problem, cell, postures_of(problem, samples), Draw(int(seed), int(session)))
+        found = simulate_one(problem, cell, _postures_of(problem, samples), Draw(int(seed), int(session)))
         if not len(found.samples):
             raise SimulationError(
                 f"In none of the {len(samples)} postures can the true arm measure",
                 "Plan them for this problem and cell",
             )
         return found
-    asked = counts_of(problem, samples)
+    asked = _counts_of(problem, samples)
     if len(problem.instruments) > 1:
         return simulate_several(problem, cell, asked, int(seed), int(session))
     return simulate_one(problem, cell, asked[problem.names[0]], Draw(int(seed), int(session)))
+
+
+def _postures_of(problem: Problem, samples: Samples) -> Samples:
+    """Postures of an only instrument, inside the joint limits.
+
+    Raises ProblemError of several, SamplesError without the joints and labels that it takes.
+    """
+    _ = problem.instrument
+    layout, robot = problem.layout(), problem.robot
+    samples.check(Layout(layout.joints, {}, layout.labels))
+    _check_count(len(samples))
+    lower, upper = robot.limits
+    beyond = np.maximum(lower - samples.joints, samples.joints - upper) > ROUNDED
+    if beyond.any():
+        k, j = map(int, np.argwhere(beyond)[0])
+        factor, unit = (180 / math.pi, "degrees") if robot.revolute[j] else (1.0, "mm")
+        raise SamplesError(
+            samples.file,
+            f"joint {j + 1} stands at {factor * samples.joints[k, j]:.6g} {unit}, outside its limits "
+            f"{factor * lower[j]:g} to {factor * upper[j]:g}",
+            "Leave the posture out, or mend the limits of the robot",
+            line=int(samples.lines[k]),
+        )
+    return samples
+
+
+def _counts_of(problem: Problem, samples: int | Mapping[str, int]) -> dict[str, int]:
+    """How many rows each instrument takes."""
+    if isinstance(samples, Mapping):
+        for name in samples:
+            problem.number(name)
+        if missing := [name for name in problem.names if name not in samples]:
+            raise SimulationError(f"How many samples of the {missing[0]} was not said", f"Say it: {missing[0]}=120")
+    counts = {name: samples[name] if isinstance(samples, Mapping) else samples for name in problem.names}
+    for count in counts.values():
+        _check_count(count)
+    return {name: int(count) for name, count in counts.items()}
+
+
+def _check_count(count: object) -> None:
+    """Raise SimulationError unless so many samples can be simulated."""
+    if not isinstance(count, (int, np.integer)):
+        fix = "Give a number, numbers by the name of the instrument, or the postures of a plan: plan.samples"
+        raise SimulationError(f"Got {came(count)} as the samples", fix)
+    if not 1 <= count <= MOST_SAMPLES:
+        fix = f"Ask for at least one, at most {MOST_SAMPLES:,}"
+        raise SimulationError(f"{count} samples were asked for", fix)

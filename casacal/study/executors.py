@@ -17,7 +17,7 @@ from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import TypeVar
 
-from casacal.errors import StudyError
+from casacal.errors import StudyError, said
 from casacal.study.description import Study
 from casacal.study.records import Record
 from casacal.study.study_file import load_study
@@ -66,7 +66,11 @@ def perform_errand(errand: Errand) -> list[Record]:
 
 @lru_cache(maxsize=4)
 def _loaded(luggage: bytes) -> Study:
-    found = pickle.loads(luggage)
+    try:
+        found = pickle.loads(luggage)
+    except Exception as error:  # what its methods import need not be here
+        fix = "Put its functions into a package that both can import, or run it here"
+        raise StudyError(f"A worker cannot unpack the study: {said(error)}", fix) from error
     assert isinstance(found, Study)
     return found
 

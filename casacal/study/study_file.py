@@ -24,20 +24,18 @@ from casacal.wording import counted
 
 @dataclass(frozen=True)
 class StudyFile:
-    """A study read from a file: its full and quick forms (None where it only computes), and its report."""
+    """A study to run: its full and quick forms (None where it only computes), its report, and where it comes from.
+
+    commands: any of them runs it. path: of the file that workers read; None where the study itself is given to them.
+    """
 
     name: str
-    path: str
+    commands: tuple[str, ...]
+    path: str | None
     study: Study | None
     quick: Study | None
     report: Callable[[Any], Sequence[str] | str]
     skipped: str | None
-
-    def commands(self, options: str) -> list[str]:
-        """What runs it from the folder of its package (or its own), with the same options."""
-        parts, _ = _dotted(Path(self.path).resolve())
-        found = [f"casacal study {'/'.join(parts)}.py{options}"]
-        return found if len(parts) == 1 else [*found, f"python -m {'.'.join(parts)}{options}"]
 
     def form(self, *, quick: bool = False, trials: int | None = None) -> Study | None:
         """The study to run, with another number of trials where one is given."""
@@ -51,15 +49,22 @@ def load_study(path: str | Path) -> StudyFile:
     if not file.is_file():
         near = ", ".join(sorted(p.as_posix() for p in Path("studies").glob("[!_]*.py")))
         raise StudyError(f"There is no study at '{path}'", f"Give a Python file{f'; here: {near}' if near else ''}")
-    try:
-        values = vars(_imported(file.resolve()))
-    except (Exception, SystemExit) as error:  # a user's file may raise anything
-        raise _failure(file, error) from error
+    values = names_of(file)
     study, report = values.get("study"), values.get("report")
     quick = values.get("quick", study)
     if not callable(report) or not all(form is None or isinstance(form, Study) for form in (study, quick)):
         raise StudyError(f"'{path}' defines no report(run), or its study is no Study", "See casacal.study.study_file")
-    return StudyFile(file.stem, file.as_posix(), study, quick, report, values.get("skipped"))
+    parts, _ = _dotted(file.resolve())  # as they are named from the folder of its package, or its own
+    commands = (f"casacal study {'/'.join(parts)}.py", f"python -m {'.'.join(parts)}")[: len(parts)]
+    return StudyFile(file.stem, commands, file.as_posix(), study, quick, report, values.get("skipped"))
+
+
+def names_of(file: Path) -> dict[str, Any]:
+    """What a user's file defines, by name; raises CasacalError when it raises."""
+    try:
+        return vars(_imported(file.resolve()))
+    except (Exception, SystemExit) as error:  # a user's file may raise anything
+        raise _failure(file, error) from error
 
 
 def _dotted(file: Path) -> tuple[list[str], Path]:
@@ -75,7 +80,7 @@ def lines_of(source: StudyFile, run: Any) -> list[str]:
     try:
         told = source.report(run)
     except (Exception, SystemExit) as error:  # a user's function may raise anything
-        raise _failure(Path(source.path), error) from error
+        raise _failure(Path(source.path or source.name), error) from error
     if isinstance(told, str):
         return told.splitlines()
     if not isinstance(told, Iterable):
@@ -148,7 +153,7 @@ def write_report(source: StudyFile, run: Run, options: str) -> Path:
     options: of the command, those that decide what is in the report.
     """
     run.out.mkdir(parents=True, exist_ok=True)
-    commands = source.commands(options)
+    commands = [f"{command}{options}" for command in source.commands]
     lines = [*lines_of(source, run), "", "## How this was made", ""]
     lines += [f"{' or '.join(f'`{command}`' for command in commands)}.", ""]
     if run.study is not None:

@@ -1,4 +1,4 @@
-"""DH tables as CSV, and as TOML."""
+"""DH tables in files, as CSV and as TOML; docs/files.md says how these look."""
 
 from __future__ import annotations
 
@@ -14,7 +14,16 @@ from typing import Any
 
 from casacal.errors import ProblemError, SamplesError
 from casacal.robots.dh_table import DHTable
-from casacal.robots.files.dh_fields import BLOCK_FIELDS, OFFSETS, ROW_FIELDS, Fields, check_names, degrees, plain
+from casacal.robots.files.dh_fields import (
+    BLOCK_FIELDS,
+    OFFSETS,
+    ROW_FIELDS,
+    Fields,
+    check_names,
+    degrees,
+    plain,
+    table_of,
+)
 from casacal.robots.joints import Conventions, Joint
 from casacal.tables import grammar
 from casacal.tables.text import read_table
@@ -34,6 +43,31 @@ COLUMNS = (
     "upper_mm",
 )
 """Of a CSV that is written, as far as the table has them."""
+
+
+def read_dh_file(path: str | Path) -> DHTable:
+    """Read a DH table, as TOML when the name ends in .toml, else as CSV.
+
+    Raises ProblemError that names the file, the line or joint, and what to do.
+    """
+    return table_of(read_toml(path) if is_toml(path) else read_csv(path))
+
+
+def unread_keys(path: str | Path) -> tuple[str, ...]:
+    """Keys in comments of a CSV that mean nothing, such as `units` of '# units: m', each once; none in TOML."""
+    found = () if is_toml(path) else (ENTRY.fullmatch(line) for line in decode(Path(path)).splitlines())
+    unread = dict.fromkeys(each[1] for each in found if each and each[1] not in BLOCK_FIELDS)
+    return tuple(key for key in unread if key != "casacal")  # what exports say of themselves
+
+
+def dh_file_text(table: DHTable, path: str | Path) -> str:
+    """A DH table as the text of a file of that name: TOML when it ends in .toml, else CSV."""
+    return toml_text(table) if is_toml(path) else csv_text(table)
+
+
+def is_toml(path: str | Path) -> bool:
+    """Whether a file of that name holds TOML."""
+    return Path(path).suffix.lower() == ".toml"
 
 
 def read_csv(path: str | Path) -> Fields:

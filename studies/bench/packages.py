@@ -1,7 +1,8 @@
 """Other packages as ways to calibrate: pybotics, robotkinecal and figaroh, each from the same rows and the same start.
 
 They fit points that are read in one frame; of poses they are given the positions. Each is handed the arm as drawn in
-its own form, made of the joints' axes at zero, and the station and tip that the other methods start from.
+its own form, made of the joints' axes at zero, and the station and tip that the other methods start from. One that is
+not installed says so in place of a result: `casacal bench studies/bench --methods studies/bench/packages.py`.
 """
 
 from __future__ import annotations
@@ -12,27 +13,107 @@ import io
 import json
 import tempfile
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from casacal.array_types import Array
-from casacal.bench.lines import Lines, lines_of
-from casacal.bench.methods import Way
+from casacal.binding.bound_problem import bind
+from casacal.errors import CasacalError
 from casacal.export.controllers import roll_pitch_yaw
+from casacal.instruments import TrackedPoint, TrackedPose
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
+from casacal.unknowns.fits import rigid_fit, transform
 
 MM = 1000.0  # per metre
+SAME = 1e-6  # mm by which the arm as lines may differ from the arm as drawn
+ALONG = 1e-9  # sine of the angle between axes below which they are parallel as drawn
+
+
+@dataclass(frozen=True)
+class Lines:
+    """An arm as drawn: its revolute axes and its point at joint values zero, and the rows that are to be fitted.
+
+    axes: unit vectors (n, 3). points: a point of each axis (n, 3), mm. tip: (3,), mm. station: from the base to the
+    frame of the readings (4, 4). joints: (N, n), rad. read: (N, 3), mm. noise: of each coordinate, mm.
+    """
+
+    axes: Array
+    points: Array
+    tip: Array
+    station: Array
+    joints: Array
+    read: Array
+    noise: float
+
+    @property
+    def frames(self) -> Array:
+        """A frame (n, 4, 4) on each axis: z along it, x the common normal to the next, as in modified DH."""
+        frames = np.tile(np.eye(4), (len(self.axes), 1, 1))
+        for k, (z, at) in enumerate(zip(self.axes, self.points, strict=True)):
+            normal = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
+            if k + 1 < len(self.axes):
+                normal, at = _common_normal(at, z, self.points[k + 1], self.axes[k + 1])
+            x = normal / np.linalg.norm(normal)
+            frames[k, :3] = np.column_stack([x, np.cross(z, x), z, at])
+        return frames
+
+    @property
+    def moves(self) -> Array:
+        """Transforms (n + 1, 4, 4) at joint values zero: base to first frame, one frame to the next, last to tip."""
+        whole = np.stack([np.eye(4), *self.frames, transform(np.eye(3), self.tip)])
+        return np.asarray(np.linalg.inv(whole[:-1]) @ whole[1:])
+
+
+def _common_normal(at: Array, z: Array, point: Array, following: Array) -> tuple[Array, Array]:
+    """Direction (3,) of the common normal from one axis to the next, and its foot (3,) on the first."""
+    across, apart = np.cross(z, following), point - at
+    if np.linalg.norm(across) < ALONG:
+        normal = apart - z * (z @ apart)
+        return (normal, at) if np.linalg.norm(normal) > SAME else (np.cross(z, np.eye(3)[np.argmin(np.abs(z))]), at)
+    along = np.cross(apart, following) @ across / (across @ across)
+    return across, at + along * z
+
+
+def lines_of(problem: Problem, fitted: Samples, package: str) -> Lines:
+    """The arm as a package is given it; raises CasacalError where it takes no such arm or instrument."""
+    instrument, fix = problem.instrument, f"Leave {package} out"
+    if not isinstance(instrument, (TrackedPoint, TrackedPose)) or instrument.station.per is not None:
+        name = type(instrument).__name__
+        raise CasacalError(f"{package} fits points read in one frame, and this set is measured by {name}", fix)
+    if not problem.robot.revolute.all():
+        raise CasacalError(f"{package} is given arms of revolute joints, and this one has others", fix)
+    bound = bind(problem.without_effects, fitted)
+    n, tips = len(problem.robot.axes), bound.tips(bound.x0, fitted.joints)
+    turned = bound.poses(bound.x0, np.vstack([np.zeros(n), np.pi / 2 * np.eye(n)]))
+    moves = turned[1:] @ np.linalg.inv(turned[0])
+    skew = (moves[:, :3, :3] - moves[:, :3, :3].transpose(0, 2, 1)) / 2
+    axes = np.column_stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]])
+    points = np.stack([np.linalg.pinv(np.eye(3) - move[:3, :3]) @ move[:3, 3] for move in moves])
+    read = np.column_stack([fitted.columns[axis] for axis in "xyz"])
+    tip = bound.tips(bound.x0, np.zeros((1, n)))[0]
+    station = rigid_fit(tips, read)
+    if station is None:
+        raise CasacalError(f"{package} needs points that do not lie on a line", fix)
+    found = Lines(axes, points, tip, station, fitted.joints, read, float(bound.block.noise[:, :3].mean()))
+    carried = np.tile(tip, (len(fitted.joints), 1))  # where the arm as lines carries its tip
+    for axis, point, angles in reversed(list(zip(axes, points, fitted.joints.T, strict=True))):
+        carried = point + Rotation.from_rotvec(angles[:, None] * axis).apply(carried - point)
+    if np.abs(carried - tips).max() > SAME:
+        raise CasacalError(f"{package} is given arms each of whose joints turns one axis, and this one is coupled", fix)
+    return found
 
 
 def by_pybotics(problem: Problem, fitted: Samples, unseen: Samples) -> Array:
     """Modified DH, tool point and world by `scipy.optimize.least_squares` on pybotics' `optimize_accuracy`."""
     lines = lines_of(problem, fitted, "pybotics")
-    with _quiet():
+    with _quiet("pybotics"):
         from pybotics.kinematic_chain import MDHKinematicChain
         from pybotics.optimization import OptimizationHandler, optimize_accuracy
         from pybotics.robot import Robot
@@ -61,7 +142,7 @@ def by_robotkinecal(problem: Problem, fitted: Samples, unseen: Samples) -> Array
     """Screws of all joints and the tip by `SerialRobotKineCal.solve`; the station is in the screws."""
     lines = lines_of(problem, fitted, "robotkinecal")
     back = np.asarray(np.linalg.inv(lines.station))
-    with _quiet():
+    with _quiet("robotkinecal"):
         from roboticstoolbox import ET, ETS, ERobot, Link
         from robotkinecal import SerialRobotKineCal
 
@@ -84,7 +165,7 @@ def by_figaroh(problem: Problem, fitted: Samples, unseen: Samples) -> Array:
     """
     lines = lines_of(problem, fitted, "figaroh")
     names = [f"joint{k + 1}" for k in range(len(lines.axes))]
-    with _quiet(), tempfile.TemporaryDirectory() as folder:
+    with _quiet("figaroh"), tempfile.TemporaryDirectory() as folder:
         import pinocchio
         from figaroh.calibration import BaseCalibration
         from figaroh.calibration.calibration_tools import calc_updated_fkm
@@ -150,8 +231,13 @@ def _moved(transform: Array, points: Array) -> Array:
 
 
 @contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Without what packages print and warn of, and with their random numbers the same each time."""
+def _quiet(package: str) -> Iterator[None]:
+    """Without what a package prints and warns of, and with its random numbers the same each time.
+
+    Raises CasacalError where it is not installed.
+    """
+    if importlib.util.find_spec(package) is None:
+        raise CasacalError(f"{package} is not installed", f"Install it with pip install 'casacal[{package}]'")
     state = np.random.get_state()  # noqa: NPY002
     np.random.seed(0)  # noqa: NPY002
     try:
@@ -162,12 +248,4 @@ def _quiet() -> Iterator[None]:
         np.random.set_state(state)  # noqa: NPY002
 
 
-PACKAGES: Mapping[str, Way] = {"pybotics": by_pybotics, "robotkinecal": by_robotkinecal, "figaroh": by_figaroh}
-"""Packages by name, each an extra of casacal."""
-
-
-def absent(package: str) -> str:
-    """What to say of a package that is not installed; nothing of one that is."""
-    if importlib.util.find_spec(package) is not None:
-        return ""
-    return f"{package} is not installed, and left out. Install it with pip install 'casacal[{package}]'"
+methods = {"pybotics": by_pybotics, "robotkinecal": by_robotkinecal, "figaroh": by_figaroh}

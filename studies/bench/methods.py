@@ -1,22 +1,13 @@
-"""Ways to calibrate that the benchmark compares: each a function of a problem, rows to fit and rows it may not see.
-
-A method returns the residuals (N, m) that it leaves of the unseen rows, in the unit of the instrument, alone or with
-the verdict that it gives of its own result (`Told`). It may look at the joint values of these rows, as whoever corrects
-a target does, and not at what was read there, but for what stands elsewhere anew: a socket at another place.
-"""
+"""Ways to calibrate that the benchmark compares; what a method is, casacal/study/benchmark.py says."""
 
 from __future__ import annotations
-
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.binding.marginal import bind_further, extended
+from casacal.binding.bound_problem import bind
 from casacal.calibration.calibrate import calibrate
 from casacal.calibration.verdict import verdict_of
 from casacal.discrepancy import LinkSag, TransmissionError
@@ -25,16 +16,9 @@ from casacal.estimators import lm
 from casacal.estimators.scipy_least_squares import scipy_least_squares
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
+from casacal.study.benchmark import Told, left
 
 MOST_OF_A_PROCESS = 1500  # rows that a Gaussian process is made of; of more, some
-
-
-@dataclass(frozen=True)
-class Told:
-    """Residuals (N, m) of the unseen rows, and the verdict that the method itself gave of its result."""
-
-    residuals: Array
-    verdict: str
 
 
 def drawn(problem: Problem, fitted: Samples, unseen: Samples) -> Array:
@@ -92,12 +76,6 @@ def geometry_and_process(problem: Problem, fitted: Samples, unseen: Samples) -> 
     return rest - _process(fitted.joints[some], known[some], unseen.joints)
 
 
-def left(bound: BoundProblem, x: Array, unseen: Samples) -> Array:
-    """Residuals (N, m) of unseen rows at x (n,); unknowns of labels that were not fitted are fitted to their rows."""
-    further = bind_further(bound, unseen)
-    return further.plain_residual(extended(further, x)).reshape(len(unseen), -1)
-
-
 def _process(joints: Array, values: Array, elsewhere: Array) -> Array:
     """What values (N, m) at joints (N, n) say of other joints (M, n): squared exponential, sizes by likelihood."""
     spread = np.maximum(joints.std(axis=0), 1e-9)
@@ -124,9 +102,7 @@ def _process(joints: Array, values: Array, elsewhere: Array) -> Array:
     return np.asarray(across @ cho_solve(cho_factor(covariance(best), lower=True), values))
 
 
-Way = Callable[[Problem, Samples, Samples], Array | Told]
-
-WAYS: Mapping[str, Way] = {
+methods = {
     "as drawn": drawn,
     "joint offsets": offsets,
     "geometry (SciPy)": geometry,
@@ -135,13 +111,3 @@ WAYS: Mapping[str, Way] = {
     "casacal": casacal_whole,
     "casacal, all layers": casacal_layers,
 }
-"""What `casacal bench` compares unless told otherwise."""
-
-
-def squares_of(residuals: Array, metric: str) -> Array:
-    """Square (N,) of what is left of each unseen row (N, m), by the set's metric; CasacalError where they are none."""
-    if residuals.ndim != 2 or not np.isfinite(residuals).all():
-        raise CasacalError(f"Residuals came in the shape {residuals.shape}, or not finite", "Return (N, m) of them")
-    if metric == "rms":
-        return np.asarray((residuals**2).mean(axis=1))
-    return np.asarray((residuals[:, : 3 if metric == "position" else None] ** 2).sum(axis=1))
