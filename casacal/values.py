@@ -105,7 +105,7 @@ def plain(item: Any) -> Any:
 
 
 def alike(one: Any, two: Any) -> bool:
-    """Whether two values are equal, with arrays compared element by element (NaN equals NaN)."""
+    """Whether two values are equal, at any depth of arrays, mappings and lists; NaN equals NaN."""
     if isinstance(one, np.ndarray) or isinstance(two, np.ndarray):
         a, b = np.asarray(one), np.asarray(two)
         return np.array_equal(a, b, equal_nan=a.dtype.kind in "fc" and b.dtype.kind in "fc")
@@ -113,6 +113,8 @@ def alike(one: Any, two: Any) -> bool:
         return one.keys() == two.keys() and all(alike(value, two[key]) for key, value in one.items())
     if isinstance(one, (tuple, list)) and isinstance(two, (tuple, list)):
         return len(one) == len(two) and all(alike(a, b) for a, b in zip(one, two, strict=True))
+    if isinstance(one, float) and isinstance(two, float) and math.isnan(one):
+        return math.isnan(two)
     return bool(one is two or one == two)
 
 

@@ -19,9 +19,9 @@ from test_own_instrument import written
 
 import casacal
 from casacal import CasacalError, calibrate, load, load_problem, simulate
-from casacal.calibration.verdict import Level
 from casacal.cli.main import main
 from casacal.compensation.document import misfits, schema_text
+from casacal.compensation.result import Level
 from casacal.compensation.result_file import SCHEMA, read_result
 from casacal.graphs import graph_data, graph_from
 from casacal.problem.as_data import problem_data, problem_from

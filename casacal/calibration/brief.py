@@ -13,13 +13,13 @@ from casacal.calibration.doubt import VERIFY
 from casacal.calibration.fitted import MINIMISERS
 from casacal.calibration.told import verdict_lines
 from casacal.calibration.verdict import (
-    Verdict,
     held_as_drawn,
     priors_contradicted,
     unexplained,
     wrong_with_samples,
 )
 from casacal.calibration.warnings import doubts
+from casacal.compensation.result import Verdict
 from casacal.planning.cures import Cure
 from casacal.wording import listed, lower
 

@@ -15,7 +15,7 @@ from casacal.array_types import Array
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.motion import Motion
 from casacal.calibration.pictures import plot_convergence, plot_residuals, plot_tip_std
-from casacal.calibration.result_json import calibration_document, write_calibration
+from casacal.calibration.result_json import calibration_document, found_part, write_calibration
 from casacal.calibration.result_parts import parameter_rows
 from casacal.calibration.saved import AsArm, parameter_table
 from casacal.calibration.sensitivity import Sensitivity
@@ -172,8 +172,12 @@ class Calibrated(Calibration, AsArm):
 
     @cached_property
     def arm(self) -> CalibratedArm:
-        """The calibrated arm: the problem, and all that result.json holds."""
-        return CalibratedArm("this calibration", self.source, jsonable(calibration_document(self)))
+        """The calibrated arm: the problem, and what was found of it."""
+        return CalibratedArm("this calibration", self.source, jsonable(found_part(self)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """All that result.json holds, in JSON's own types."""
+        return dict(jsonable(calibration_document(self)))
 
     def save(self, folder: str | Path) -> list[Path]:
         """Write report.html, result.json, parameters.csv, pictures and the problem itself into a folder.

@@ -42,11 +42,33 @@ def calibration_document(
     calibration: Calibration, source: ProblemFile | None = None, *, folder: Path | None = None
 ) -> dict[str, Any]:
     """The whole of result.json for a calibration; paths are relative to the folder that it will stand in, if any."""
-    result, fit = calibration.result, calibration.fit
-    verdict = verdict_of(calibration)
+    pairs = correlated_pairs(calibration.covariance, calibration.seen.names)
+    return sealed(
+        {
+            **found_part(calibration, source, folder=folder),
+            "metrics": calibration.metrics,
+            **({"metrics_by_instrument": by} if (by := calibration.metrics_by_instrument) else {}),
+            "leave_one_face_out": [{**asdict(face), "ratio": face.ratio} for face in calibration.left_out],
+            "identifiability": parts.what_is_seen(calibration),
+            "cures": parts.cures_part(calibration),
+            "dial_errors": [parts.dial_error_part(error) for error in calibration.dial_errors],
+            "correlations": [{"names": [one, two], "value": value} for one, two, value in pairs],
+            "warnings": warnings(calibration.unjudged),
+            "prior_moves": asdict(calibration.prior_moves),
+            "set_aside": [asdict(finding) for finding in calibration.aside],
+            "down_weighted_lines": calibration.down_weighted,
+            "reference": parts.reference_part(calibration.reference),
+        }
+    )
+
+
+def found_part(
+    calibration: Calibration, source: ProblemFile | None = None, *, folder: Path | None = None
+) -> dict[str, Any]:
+    """What others rely on of it, without what only people read: little of it takes time to work out."""
+    result, fit, verdict = calibration.result, calibration.fit, verdict_of(calibration)
     denied = verdict.level == "do not use"
-    pairs = [] if denied else correlated_pairs(calibration.covariance, calibration.seen.names)
-    document = {
+    return {
         **parts.head_of(source or calibration.source, result, calibration.seed, fit.backend, folder),
         "verdict": asdict(verdict),
         "data": {
@@ -62,26 +84,13 @@ def calibration_document(
         },
         "cost": result.cost,
         "parameters": parts.parameter_rows(calibration),
-        **parts.geometry(fit, calibration.used_x),
-        "metrics": calibration.metrics,
-        **({"metrics_by_instrument": by} if (by := calibration.metrics_by_instrument) else {}),
-        "leave_one_face_out": [{**asdict(face), "ratio": face.ratio} for face in calibration.left_out],
+        **parts.geometry(fit, calibration.unjudged.used_x),
         "tip": None if denied else _tip(calibration),
-        "noise": parts.noise_part(calibration),
+        "noise": parts.noise_part(calibration.unjudged),
         "discrepancy": parts.discrepancy_part(calibration),
-        "identifiability": parts.what_is_seen(calibration),
-        "cures": parts.cures_part(calibration),
-        "dial_errors": [parts.dial_error_part(error) for error in calibration.dial_errors],
-        "correlations": [{"names": [one, two], "value": value} for one, two, value in pairs],
         **parts.spreads(None if denied else calibration.covariance, calibration.seen.names, fit),
-        "warnings": warnings(calibration.unjudged),
-        "prior_moves": asdict(calibration.prior_moves),
-        "set_aside": [asdict(finding) for finding in calibration.aside],
-        "down_weighted_lines": calibration.down_weighted,
-        "reference": parts.reference_part(calibration.reference),
         **parts.closing(result, calibration.seconds),
     }
-    return sealed(document)
 
 
 def _tip(calibration: Calibration) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -33,9 +33,9 @@ class AsArm(ABC):
     def arm(self) -> CalibratedArm:
         """The problem and the estimate."""
 
+    @abstractmethod
     def to_dict(self) -> dict[str, Any]:
         """All that result.json holds, in JSON's own types."""
-        return dict(self.arm.document)
 
     def predict(
         self,
@@ -201,29 +201,30 @@ class SavedCalibration(Value, AsArm):
         """The problem and the estimate."""
         return self.found
 
+    def to_dict(self) -> dict[str, Any]:
+        """All that result.json holds, in JSON's own types."""
+        return dict(self.found.document)
+
     @property
     def success(self) -> bool:
         """Whether the method did all it promises, as the result says, and its verdict is not "do not use"."""
-        return self.found.denial is None and bool(self.found.document.get("converged", False))
+        return self.found.denial is None and self.found.found.converged
 
     @property
     def message(self) -> str:
         """The verdict, unless it is simply "calibrated", and how the method ended."""
-        said, ended = self.found.document.get("verdict") or {}, str(self.found.document.get("status", ""))
-        return ended if said.get("level", "calibrated") == "calibrated" else f"{said.get('words', '')} {ended}"
+        verdict, ended = self.found.found.verdict, self.found.found.status
+        return ended if verdict is None or verdict.level == "calibrated" else f"{verdict.words} {ended}"
 
     @property
     def cost(self) -> float:
         """The objective at the estimate; NaN where the file does not say."""
-        cost = self.found.document.get("cost")
-        return math.nan if cost is None else float(cost)
+        return self.found.found.cost
 
     @property
     def tip_std(self) -> tuple[float, float]:
         """Tip error to expect, mm RMS, from priors and now, as `Calibrated.tip_std`; NaN where the file says none."""
-        tip = self.found.document.get("tip") or {}
-        before, now = (tip.get(key) for key in ("prior_rms_mm", "expected_rms_mm"))
-        return math.nan if before is None else before, math.nan if now is None else now
+        return self.found.found.tip.prior_mm, self.found.found.tip.expected_mm
 
     @property
     def metrics(self) -> Any:
@@ -233,13 +234,12 @@ class SavedCalibration(Value, AsArm):
     @property
     def parameters(self) -> pd.DataFrame:
         """One row per number of the arm and the instrument, as `Calibrated.parameters`."""
-        return parameter_table(self.found.document["parameters"])
+        return parameter_table(asdict(row) for row in self.found.found.parameters)
 
     def __repr__(self) -> str:
-        document = self.found.document
         expected = "" if math.isnan(self.tip_std[1]) else f", expected tip error {self.tip_std[1]:.3g} mm RMS"
         return (
-            f"<casacal calibration of {self.found.source.problem.robot.name} by {document.get('method')}, read from "
+            f"<casacal calibration of {self.found.source.problem.robot.name} by {self.found.found.method}, read from "
             f"{self.found.file}{expected}>"
         )
 

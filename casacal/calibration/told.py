@@ -9,7 +9,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.verdict import Verdict
+from casacal.compensation.result import Verdict
 from casacal.discrepancy.effect import Site
 from casacal.uncertainty.workspace import without_rigid, workspace_joints
 from casacal.wording import listed, mm

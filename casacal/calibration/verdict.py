@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -14,10 +12,9 @@ from casacal.calibration.fitted import MINIMISERS
 from casacal.calibration.warnings import NOISE_BAND, doubts, larger_than_any
 from casacal.checks import Finding
 from casacal.checks.numbers import SCALE, without_its_likes
+from casacal.compensation.result import Verdict
 from casacal.uncertainty.prior_moves import prior_scatter
 from casacal.wording import counted, listed, mm, sentence, times
-
-Level = Literal["calibrated", "use with care", "do not use"]
 
 GAIN = 0.9  # expected tip error over the one before, above which little was gained
 WORSE = 1.1  # residual after over before, on the very rows that were fitted, above which calibrating made the arm worse
@@ -36,15 +33,6 @@ SHOWN = 0.01  # millimetres below which nobody asks how little a tip errs
 
 LEFT_TO_PRIORS = 0.5
 """Expected tip error over the one before, above which the priors decide more of it than the samples."""
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """How far a result may be used: a level, one sentence, and the reasons when it is not simply calibrated."""
-
-    level: Level
-    words: str
-    reasons: tuple[str, ...] = ()
 
 
 def verdict_of(calibration: Calibration) -> Verdict:

@@ -12,7 +12,7 @@ from casacal.calibration.result_parts import geometry, rows_of, seen_from
 from casacal.calibration.verdict import GAIN
 from casacal.changes.change import CHANGED, Change
 from casacal.changes.posterior import State
-from casacal.compensation.arm import CalibratedArm, corrected_values, found_values
+from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.result_file import sealed
 from casacal.compensation.spread import position_stds
 from casacal.files import jsonable
@@ -83,8 +83,8 @@ def _discrepancy(given: Opened, fresh: Fresh, state: State) -> Any:
     said = given.arm.document.get("discrepancy")
     if not said:
         return said
-    bound, n, was = fresh.bound, fresh.bound.unknowns, found_values(given.arm, alone=False)
-    was |= corrected_values(given.arm)
+    bound, n, was = fresh.bound, fresh.bound.unknowns, given.arm.found.values(alone=False)
+    was |= given.arm.found.of_effects
     corrected = set(given.arm.corrected)
     inside = {name: j for j, name in enumerate(bound.names) if not bound.beside[j] or bound.beside[j] in corrected}
     at = inside | {name: n + i for i, name in enumerate(state.moved)}

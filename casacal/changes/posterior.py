@@ -10,7 +10,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.compensation.arm import CalibratedArm, all_motion, corrected_values, with_effects
+from casacal.compensation.arm import CalibratedArm, all_motion, with_effects
 from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.estimators import lm
 from casacal.least_squares.objective import LeastSquares
@@ -197,7 +197,7 @@ def updated_state(arm: CalibratedArm, fresh: Fresh, free: Sequence[Array], dropp
     directions without bound, and where the rows cannot be fitted.
     """
     bound, (whole, names) = fresh.bound, all_motion(arm)
-    corrected, own = corrected_values(arm), set(fresh.own_names)
+    corrected, own = arm.found.of_effects, set(fresh.own_names)
     known, n = np.flatnonzero(fresh.known), bound.unknowns
     index = {name: i for i, name in enumerate(names)}
     shared = {

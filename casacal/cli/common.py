@@ -160,10 +160,9 @@ def check_folder(option: str, place: str) -> None:
 def made_from(result: CalibratedArm) -> list[Path]:
     """The files that a result's arm and samples came from, where they may still stand."""
     place = Path(result.file).parent
-    data = result.document.get("data") or {}
-    sets = (data.get("instruments") or {}).values()
-    named = [file.path for file in result.source.files] + [data.get("file"), *(each.get("file") for each in sets)]
-    return [place / name for name in named if isinstance(name, str) and name]
+    data = result.found.data
+    named = [file.path for file in result.source.files] + [data.file, *data.instruments.values()]
+    return [place / name for name in named if name]
 
 
 def whole_number(text: str) -> int:

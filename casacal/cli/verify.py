@@ -64,12 +64,12 @@ def run(options: argparse.Namespace) -> int:
         write_text(options.report, found.page())
     if options.into_report:
         beside = Path(result.file).with_name(REPORT)
-        write_text(beside, with_section(beside, result.document, found))
+        write_text(beside, with_section(beside, result, found))
     if options.json:
         say_json(found.to_dict())
     else:
         say_paragraphs(*found.summary(whole=options.verbose).split("\n"))
-        if result.document.get("method") == "truth":
+        if result.found.method == "truth":
             say_paragraphs(f"warning: {result.file}: {TRUTH}")
         if not options.verbose:
             say_paragraphs("Faces, regions and statistics: --verbose")

@@ -1,9 +1,8 @@
-"""A calibrated arm as a value: the problem it answers, and the document that says where its unknowns stand."""
+"""A calibrated arm as a value: the problem it answers, and what was found of it."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
@@ -13,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
+from casacal.compensation.result import CalibrationResult, Level, result_of
 from casacal.discrepancy import LinkSag
 from casacal.errors import CasacalError, RefusedResultError
 from casacal.problem.problem import Problem
@@ -35,9 +35,14 @@ class CalibratedArm(Value):
     source: ProblemFile
     document: Mapping[str, Any]
 
+    @cached_property
+    def found(self) -> CalibrationResult:
+        """The same with types."""
+        return result_of(self.document)
+
     def with_its_kit(self, problem: Problem) -> Problem:
         """A problem with its effects; where it has none with those of any arm, by whichever weight bends this one."""
-        by_links = any(each["words"] == LinkSag.words for each in self.discrepancy.get("effects", ()))
+        by_links = LinkSag.words in self.found.called.values()
         return problem.with_link_kit if by_links and not problem.effects else problem.with_kit
 
     @cached_property
@@ -58,30 +63,29 @@ class CalibratedArm(Value):
         return problem.with_effects(*(known[key] for key in keys))
 
     @property
-    def discrepancy(self) -> Mapping[str, Any]:
-        """What the document says of effects beside the geometry; nothing where geometry was all there is."""
-        return self.document.get("discrepancy") or {}
-
-    @property
     def corrected(self) -> tuple[str, ...]:
         """Keys of the effects beside the geometry that are corrected; none of a truth."""
-        return tuple(self.discrepancy.get("corrected", ()))
+        return self.found.effects.corrected
 
     @property
     def verdict(self) -> dict[str, str] | None:
         """The verdict as {level, words}; None for a truth, and for a result from before there were verdicts."""
-        said = self.document.get("verdict")
-        return None if not said else {"level": str(said["level"]), "words": str(said["words"])}
+        said = self.found.verdict
+        return None if said is None else {"level": said.level, "words": said.words}
 
     @property
     def denial(self) -> str | None:
         """The words of a verdict not to use this result; None for any other."""
-        return self.verdict["words"] if self.verdict and self.verdict["level"] == "do not use" else None
+        return self._said("do not use")
 
     @property
     def caution(self) -> str | None:
         """The words of a verdict to use this result with care; None for any other."""
-        return self.verdict["words"] if self.verdict and self.verdict["level"] == "use with care" else None
+        return self._said("use with care")
+
+    def _said(self, level: Level) -> str | None:
+        verdict = self.found.verdict
+        return verdict.words if verdict is not None and verdict.level == level else None
 
     def check_usable(self, *, force: bool) -> None:
         """Raise RefusedResultError for a result whose verdict is not to use it, unless that is wanted all the same."""
@@ -91,7 +95,7 @@ class CalibratedArm(Value):
             raise RefusedResultError(f"{self.file}: {self.denial.removesuffix('.')}", fix)
 
     def __repr__(self) -> str:
-        return f"<CalibratedArm {self.source.problem.robot.name} of {self.file}, by {self.document.get('method')}>"
+        return f"<CalibratedArm {self.source.problem.robot.name} of {self.file}, by {self.found.method}>"
 
 
 def arm_values(result: CalibratedArm, *, nominal: bool = False) -> SimpleNamespace:
@@ -116,7 +120,7 @@ def local_coordinates(result: CalibratedArm, *, nominal: bool = False, of: Probl
     """
     geometry = result.source.problem.without_effects
     model, known = (of or geometry).model, geometry.model.unknowns
-    found = {} if nominal else corrected_values(result)
+    found = {} if nominal else result.found.of_effects
     values = [
         _local(key, unknown, result, nominal, alone=not model.effects)
         if key in known
@@ -131,13 +135,14 @@ def row_constants(result: CalibratedArm, of: Problem) -> Array:
 
     Zero for what differs by label: faces and their like move neither flange nor tip.
     """
-    proposed = result.document.get("proposed") or {}
+    proposed = result.found.proposed
     found = [np.zeros(0)]
     for key in of.model.constants:
         unknown = of.model.unknowns[key]
         known = unknown.nominal if unknown.nominal is not None else proposed.get(key)
-        right = known is not None and np.size(known) == unknown.nominal_size
-        found.append(np.asarray(known, dtype=np.float64).ravel() if right else np.zeros(unknown.nominal_size))
+        if known is None or np.size(known) != unknown.nominal_size:
+            known = np.zeros(unknown.nominal_size)
+        found.append(np.ravel(known))
     return np.concatenate(found)
 
 
@@ -151,27 +156,24 @@ def covariance_of(result: CalibratedArm) -> tuple[Array, list[tuple[int, int]]]:
 
 def named_covariance(result: CalibratedArm) -> tuple[Array, list[str]]:
     """Covariance (n, n) as the result holds it, and the unknowns that it is of; raises CasacalError without one."""
-    try:
-        covariance = numbers(result.document["covariance"])
-        names = result.document.get("covariance_of") or [row["name"] for row in result.document["unknowns"]]
-    except (KeyError, TypeError):
+    found = result.found
+    if found.covariance is None:
         if result.denial is not None:
             said = f"{result.file}: a result that is not to be used has no standard deviations"
-            raise CasacalError(said, "Mend what its verdict names, and calibrate again") from None
-        raise CasacalError(f"{result.file}: it holds no covariance", "Calibrate again with this version") from None
-    return covariance.reshape(len(names), len(names)), list(names)
+            raise CasacalError(said, "Mend what its verdict names, and calibrate again")
+        raise CasacalError(f"{result.file}: it holds no covariance", "Calibrate again with this version")
+    return found.covariance, list(found.covariance_of)
 
 
 def with_effects(result: CalibratedArm) -> tuple[Array, dict[str, float]] | None:
     """Covariance (n, n) of geometry and effects together, and by how much each is elsewhere than the arm is said to be.
 
-    By name, in the order of the covariance; None where a result says nothing of effects, or only of them where columns
-    tell them, as one does that is denied without these.
+    By name, in the order of the covariance; None where a result says nothing of effects.
     """
-    said = result.discrepancy
-    if "covariance" not in said or result.document.get("covariance") is None:
+    found = result.found.effects
+    if found.covariance is None or found.off is None or result.found.covariance is None:
         return None
-    return numbers(said["covariance"]), dict(zip(said["covariance_of"], map(float, said["off"]), strict=True))
+    return found.covariance, dict(zip(found.covariance_of, found.off.tolist(), strict=True))
 
 
 def all_motion(result: CalibratedArm) -> tuple[Array, list[str]]:
@@ -180,36 +182,14 @@ def all_motion(result: CalibratedArm) -> tuple[Array, list[str]]:
     return named_covariance(result) if found is None else (found[0], list(found[1]))
 
 
-def numbers(rows: Sequence[Sequence[float | None]]) -> Array:
-    """A table of numbers as JSON holds it, null where one is infinite."""
-    return np.array([[math.inf if value is None else value for value in row] for row in rows], dtype=np.float64)
-
-
 def _local(key: str, unknown: Any, result: CalibratedArm, nominal: bool, *, alone: bool) -> Array:
     """Local coordinates of an unknown at the result; zero for those that differ by label."""
     if nominal or unknown.per is not None or not unknown.size:
         return np.zeros(unknown.size)
-    known = found_values(result, alone=alone)
+    known = result.found.values(alone=alone)
     if not isinstance(unknown, Parameter) and not known.keys() & set(unknown.names(key)):  # held by the calibration
         return np.zeros(unknown.size)
     missing = [name for name in unknown.names(key) if name not in known]
     if missing:
         raise CasacalError(f"{result.file}: '{missing[0]}' is missing", "Give a result of this problem")
     return np.array([known[name] for name in unknown.names(key)])
-
-
-def found_values(result: CalibratedArm, *, alone: bool) -> dict[str, float]:
-    """Local coordinates of all unknowns of geometry and instrument, by name; `alone`: where no effect is corrected."""
-    known = {row["name"]: float(row["value"]) for row in result.document.get("unknowns", ())}
-    known |= {
-        row["name"]: float(row["estimate"]) - float(row["nominal"]) for row in result.document.get("parameters", ())
-    }
-    if alone:
-        known |= {row["name"]: float(row["value"]) for row in result.discrepancy.get("without_corrections", ())}
-    return known
-
-
-def corrected_values(result: CalibratedArm) -> Mapping[str, float]:
-    """Unknowns of the effects that are corrected, by name, as they were found."""
-    rows = result.discrepancy.get("unknowns", ())
-    return {row["name"]: float(row["value"]) for row in rows if row["effect"] in result.corrected}

@@ -113,7 +113,7 @@ def _trusted(result: CalibratedArm, frame: str) -> None:
     """Refuse a result that is no calibrated robot, unless it is forced, which the file then says."""
     if result.denial is not None:
         return
-    if not result.document.get("converged", False):
+    if not result.found.converged:
         raise CasacalError(f"{result.file}: the calibration did not converge", "Calibrate again before moving a robot")
     keys = list(result.source.problem.robot.parameters)
     if frame == "tip":

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.arm import FRAMES, CalibratedArm, found_values, local_coordinates, row_constants
+from casacal.compensation.arm import FRAMES, CalibratedArm, local_coordinates, row_constants
 from casacal.compensation.result_file import arm_from
 from casacal.compensation.spread import RowZeros, position_stds
 from casacal.compensation.told import NOTHING, Told, whole_rows
@@ -152,7 +152,7 @@ def predict(
     known, constants = n + len(instrument.columns) + len(instrument.known_columns), row_constants(result, problem)
     poses = stacked_poses(model.batch.pose(z, constants, data)[0])
     positions = model.batch.tip(z, constants, data)[0] if frame == "tip" else poses[:, :3, 3]
-    found = found_values(result, alone=not model.effects)
+    found = result.found.values(alone=not model.effects)
     zeros = RowZeros.of(instrument, joints, found) if frame == "tip" else None
     unseen: tuple[str, ...] = ()
     if zeros is not None and not nominal:

@@ -128,7 +128,7 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
     counts = Counter(outcome.value for outcome in compensation.outcomes)
     arm = result.source.problem.robot.parameters
     names = {name for key, unknown in arm.items() for name in unknown.names(key)}
-    unseen = [row["name"] for row in result.document["parameters"] if row.get("known_from") in ("prior alone", "held")]
+    unseen = [row.name for row in result.found.parameters if row.known_from in ("prior alone", "held")]
     held = [name for name in unseen if name in names]
     lines = [
         f"{MADE}: compensate {targets.file} (SHA-256 {targets.sha256[:12]}), result {result.file} of "
@@ -136,7 +136,7 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
         "joint values are those that the controller shows",
         f"{len(targets)} targets: " + ", ".join(f"{count} {word}" for word, count in counts.items()),
     ]
-    if result.document.get("method") == "truth":
+    if result.found.method == "truth":
         lines.append(f"WARNING: {TRUTH}")
     words = result.denial
     verb = "removes" if words is None else "changes"

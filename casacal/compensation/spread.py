@@ -44,13 +44,13 @@ def moved_arm(result: CalibratedArm) -> Moved:
     model, away = problem.model, dict.fromkeys(problem.model.names, 0.0)
     names = [name for key, unknown in model.unknowns.items() for name in unknown.names(key)]
     if effects is not None:
-        lost = sorted({each["name"] for each in result.discrepancy["unknowns"]} - set(names))
+        lost = sorted(set(result.found.effects.values) - set(names))
         if lost:
             what = f"{result.file}: it holds an effect beside the geometry ('{lost[0]}') that the problem does not have"
             raise CasacalError(what, "Give the problem that it was calibrated with, or calibrate again")
         for effect in model.effects:
             away |= effect.away(Site(problem.robot, problem.instrument))
-        away |= {name: float(value) for name, value in result.discrepancy.get("usual", {}).items() if name in away}
+        away |= {name: value for name, value in result.found.effects.usual.items() if name in away}
     covariance, known = all_motion(result)
     places = {name: j for j, name in enumerate(known)}
     at = [i for i, name in enumerate(names) if name in places]

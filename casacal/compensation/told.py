@@ -38,10 +38,10 @@ class Told:
     @staticmethod
     def by(arm: CalibratedArm, rows: Samples) -> Told:
         """What rows tell of an arm; raises SamplesError where a column that tells an effect holds what it may not."""
-        further = columns_that_tell(arm)
+        further = arm.found.effects.further
         if not further:
             return NOTHING
-        site, said = Site(arm.source.problem.robot, arm.source.problem.instrument), arm.discrepancy
+        site, said = Site(arm.source.problem.robot, arm.source.problem.instrument), arm.found.effects
         columns, lacking = dict[str, Array](), dict[str, tuple[str, ...]]()
         away, beyond = dict[str, float](), list[str]()
         for effect in arm.used.effects:
@@ -50,12 +50,12 @@ class Told:
                 continue
             if absent:
                 lacking[effect.words] = absent
-                for name in set(effect.columns(site)) & set(said["mean"]):
-                    columns[name] = np.full(len(rows), float(said["mean"][name]))
-                    away[name] = float(said["spread"][name])
+                for name in set(effect.columns(site)) & set(said.mean):
+                    columns[name] = np.full(len(rows), said.mean[name])
+                    away[name] = said.spread[name]
             else:
                 columns |= effect.told(site, rows)
-                beyond += _beyond(rows, effect.amounts(site, rows), said.get("range", {}))
+                beyond += _beyond(rows, effect.amounts(site, rows), said.ranges)
         return Told(columns, FrozenMapping(lacking), tuple(beyond), FrozenMapping(away))
 
 
@@ -63,13 +63,13 @@ NOTHING = Told(NOTHING_TOLD)
 """Of an arm that no column tells anything."""
 
 
-def _beyond(rows: Samples, amounts: Mapping[str, Array], ranges: Mapping[str, Mapping[str, float]]) -> list[str]:
+def _beyond(rows: Samples, amounts: Mapping[str, Array], ranges: Mapping[str, tuple[float, float]]) -> list[str]:
     """A sentence for each of an effect's columns (N,) that is far from its range in the fitted rows.
 
     The effect is proportional to its columns, which share a unit: the span is the largest of theirs, zero included.
     Results from before ranges were kept have none. Raises SamplesError for an amount that is out of all proportion.
     """
-    known = {name: (ranges[name]["lowest"], ranges[name]["highest"]) for name in amounts if name in ranges}
+    known = {name: ranges[name] for name in amounts if name in ranges}
     span = max((max(high, 0.0) - min(low, 0.0) for low, high in known.values()), default=0.0)
     said = []
     for name, (low, high) in known.items():
@@ -100,15 +100,9 @@ def whole_rows(
     return rows
 
 
-def columns_that_tell(arm: CalibratedArm) -> dict[str, tuple[str, ...]]:
-    """By key, the columns of a file where an effect that they tell can be corrected."""
-    return {str(key): tuple(map(str, names)) for key, names in arm.discrepancy.get("further", {}).items()}
-
-
 def told_notes(arm: CalibratedArm, missing: Mapping[str, tuple[str, ...]], beyond: Sequence[str]) -> list[str]:
     """What the columns of rows corrected, which are far beyond the fitted ones, and what they lack, a sentence each."""
-    keys = columns_that_tell(arm)
-    words = [effect["words"] for effect in arm.discrepancy.get("effects", ()) if effect["key"] in keys]
+    words = [words for key, words in arm.found.called.items() if key in arm.found.effects.further]
     done = listed([each for each in words if each not in missing])
     said = f"Corrected by columns of the rows: {done}."
     lacking = [

@@ -12,7 +12,6 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm, arm_values, local_coordinates, row_constants
 from casacal.compensation.result_file import arm_from
-from casacal.compensation.told import columns_that_tell
 from casacal.discrepancy.effect import Site
 from casacal.errors import CasacalError
 from casacal.problem.compile import row_function
@@ -43,7 +42,7 @@ def pose_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fal
 
 def told_names(arm: CalibratedArm) -> tuple[str, ...]:
     """The columns whose values are the input `told`, in order; none where no column tells an effect."""
-    return tuple(name for names in columns_that_tell(arm_from(arm)).values() for name in names)
+    return tuple(name for names in arm_from(arm).found.effects.further.values() for name in names)
 
 
 def inputs_of(arm: CalibratedArm, q: ca.SX) -> dict[str, ca.SX]:
@@ -57,7 +56,7 @@ def _row(arm: CalibratedArm, problem: Problem, q: ca.SX, told: ca.SX | None = No
     columns, values = dict[str, Any](), ca.vertsplit(told) if told is not None else []
     site = Site(problem.robot, problem.instrument)
     effects = {effect.key: effect for effect in problem.effects}
-    for key, names in columns_that_tell(arm).items():
+    for key, names in arm.found.effects.further.items():
         columns |= zip(effects[key].columns(site), values[: len(names)], strict=False)
         values = values[len(names) :]
     return ca.vertcat(q, *(columns.get(name, 0) for name in problem.symbols.columns))

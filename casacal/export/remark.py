@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.result_file import arm_from
-from casacal.compensation.told import columns_that_tell
 from casacal.files import MADE
 from casacal.robots.dh_table import DHTable
 from casacal.robots.robot import Robot
@@ -25,36 +25,32 @@ def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
     beside them that a result corrects; what columns tell is in those of `TAKES_COLUMNS` alone.
     """
     result = arm_from(result)
-    further = columns_that_tell(result)
     takes = form in TAKES_COLUMNS
-    document = result.document
+    found, effects = result.found, result.found.effects
     name = result.source.name
     by = MADE
-    if document.get("method") == "truth":
+    if found.method == "truth":
         return [f"{MARK}the true arm of a simulation of {name}, not a calibration ({by})"]
-    lines = [f"{MARK}{name}, calibrated by {document.get('method')}, {Path(result.file).name}, {by}"]
-    if not document.get("converged", True):
-        lines.append(f"{MARK}WARNING, this is not a minimum: {document.get('status')}")
+    lines = [f"{MARK}{name}, calibrated by {found.method}, {Path(result.file).name}, {by}"]
+    if not found.converged:
+        lines.append(f"{MARK}WARNING, this is not a minimum: {found.status}")
     if (words := result.denial) is not None:
         return [*lines, f"{MARK}WARNING, forced against the verdict: {words}"]
-    said, keys = document.get("discrepancy") or {}, result.corrected
-    error = (document.get("tip") or {}).get("expected_rms_mm")
-    called = {effect["key"]: effect["words"] for effect in said.get("effects", ())}
+    keys, error, called = effects.corrected, found.tip.expected_mm, found.called
     named = " and ".join(called[key] for key in called if key in keys)
     alone = bool(keys) and not takes and form != "frame"
     if alone:
-        error = said.get("expected_rms_mm_without_corrections")
+        error = effects.uncorrected_mm
         lines.append(f"{MARK}not in this form: {named}, which predict, compensate and the forms c and casadi correct")
     elif keys:
         lines.append(f"{MARK}corrected beside the geometry: {named}")
-    for key, names in further.items() if takes else ():
+    for key, names in effects.further.items() if takes else ():
         lines.append(f"{MARK}{called[key]} takes {', '.join(names)} as inputs")
     if (care := result.caution) is not None:
         level = f"{care.partition(':')[0]}; its words and its figure are those of the corrected arm"
         lines.append(f"{MARK}the result's verdict: {level if alone else care}")
-    shown = (
-        "not known" if error is None else f"{error:.3f} mm RMS over the workspace, apart from the position of the base"
-    )
+    known = f"{error:.3f} mm RMS over the workspace, apart from the position of the base"
+    shown = "not known" if math.isnan(error) else known
     return [
         *lines,
         f"{MARK}expected tip error: {shown}; small residuals on planes are not accuracy",

@@ -14,7 +14,6 @@ from casacal.array_types import Array
 from casacal.compensation.arm import (
     CalibratedArm,
     covariance_of,
-    found_values,
     local_coordinates,
     named_covariance,
     row_constants,
@@ -68,7 +67,7 @@ def work_frame(
         raise CasacalError(f"'{twice[0]}' is named twice", "Name three different faces, or three different points")
     places, names = _faces(result, labels) if faces is not None else _points(result, labels)
     matrix = build(places(np.zeros(len(names))))
-    if result.denial is not None or "covariance" not in result.document:
+    if result.denial is not None or result.found.covariance is None:
         return WorkFrame(matrix, math.nan, math.nan)
     covariance, known = named_covariance(result)
     slopes = _base(result, matrix[:3, 3], len(known))
@@ -133,17 +132,17 @@ Places = Callable[[Array], Array]
 
 def _faces(result: CalibratedArm, labels: Sequence[str]) -> tuple[Places, list[str]]:
     """Three faces, and the names of the unknowns that move them."""
-    known, proposed = result.document.get("planes") or {}, result.document.get("proposed") or {}
+    known, proposed = result.found.planes, result.found.proposed
     for label in labels:
         if label not in known:
-            raise UnknownNameError(f"face of {result.file}", str(label), tuple(known))
+            raise UnknownNameError(f"face of {result.file}", str(label), known)
     plane = result.source.problem.instrument.unknowns.get("plane")
     if not isinstance(plane, Plane):
         raise CasacalError(f"The faces of {result.file} are no planes of the instrument", "Name three points instead")
     names = [name for label in labels for name in plane.names(f"plane.{label}")]
-    moved = found_values(result, alone=False)
+    moved = result.found.values(alone=False)
     local = np.array([moved.get(name, 0.0) for name in names]).reshape(3, -1)
-    nominals = [plane.nominal if plane.nominal is not None else np.array(proposed[f"plane.{k}"]) for k in labels]
+    nominals = [plane.nominal if plane.nominal is not None else proposed[f"plane.{k}"] for k in labels]
 
     def places(moves: Array) -> Array:
         found = [
@@ -157,7 +156,7 @@ def _faces(result: CalibratedArm, labels: Sequence[str]) -> tuple[Places, list[s
 
 def _points(result: CalibratedArm, labels: Sequence[str]) -> tuple[Places, list[str]]:
     """Three points, and the names of their coordinates."""
-    known = {row["name"]: float(row["estimate"]) for row in result.document["parameters"]}
+    known = {row.name: row.estimate for row in result.found.parameters}
     labelled = tuple(named[1] for name in known if (named := re.fullmatch(r"point\.(.*)_x", name, re.DOTALL)))
     for label in labels:
         if label not in labelled:

@@ -171,9 +171,8 @@ def seen_by_rows(arm: CalibratedArm, fresh: Fresh, without: NDArray[np.intp] | N
     large. The calibration says so by what it found over what was stated, and the fresh rows by residuals that are too
     small where nothing but noise is expected; then the lower end of either is what counts.
     """
-    noise = arm.document.get("noise") or {}
-    low, high = noise.get("low"), noise.get("high")
-    quieter = float(low) if low and high and high < TENTH and not fresh.other else 1.0
+    low, high = arm.found.noise.low, arm.found.noise.high
+    quieter = low if low > 0 and 0 < high < TENTH and not fresh.other else 1.0
     bound, rows, (directions, sizes) = fresh.bound, fresh.linear, fresh.linear.directions
     expected = directions[:, sizes > ALONE]
     louder = float(np.median((bound.noise / bound.with_noise().noise) ** 2))  # as used over as stated

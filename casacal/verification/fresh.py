@@ -14,7 +14,7 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import OTHERS, REPEATABILITY
 from casacal.binding.slots import make_slots
-from casacal.compensation.arm import CalibratedArm, all_motion, corrected_values, named_covariance
+from casacal.compensation.arm import CalibratedArm, all_motion, named_covariance
 from casacal.errors import CasacalError, ProblemError, SamplesError, UnknownNameError
 from casacal.estimators import lm
 from casacal.least_squares.restricted import Restricted
@@ -114,10 +114,8 @@ def fresh_rows(
     kept = _kept(result, problem, samples, standing)
     bound = _bound(result, problem, samples, kept, other=other)
     covariance, names = all_motion(result) if result.corrected else named_covariance(result)
-    rows = result.document["parameters"]
-    values = {row["name"]: float(row["estimate"]) - float(row["nominal"]) for row in rows}
-    values |= {row["name"]: float(row["value"]) for row in result.document.get("unknowns", [])}
-    places, corrected = {name: j for j, name in enumerate(names)}, corrected_values(result)
+    values, corrected = {**result.found.values(alone=False), **result.found.unknowns}, result.found.of_effects
+    places = {name: j for j, name in enumerate(names)}
     known, at = np.zeros(bound.unknowns, dtype=bool), np.zeros(bound.unknowns)
     for slot in bound.slots:
         if slot.beside:
@@ -158,8 +156,8 @@ def _bound(
             fix = "Calibrate without --fix, or name it with --standing if it has not moved"
             raise CasacalError(f"'{slot.name}' was held in the calibration, and its position now is not known", fix)
     bound = BoundProblem(problem, slots, (samples,))
-    if said := result.discrepancy:  # what errs beside the geometry errs here, too, and anew
-        times = {each["key"]: float(each["times"]) for each in said["effects"]}
+    if effects := result.found.effects.effects:  # what errs beside the geometry errs here, too, and anew
+        times = {each.key: each.times for each in effects}
         bound = bound.under(result.with_its_kit(problem)).with_sizes(times)
     factors = _noise_used(result, bound, other=other)
     bound = bound.with_noise(factors) if factors else bound
@@ -185,7 +183,7 @@ def _check_columns(problem: Problem, samples: Samples) -> None:
 
 def _kept(result: CalibratedArm, problem: Problem, samples: Samples, standing: Collection[str]) -> dict[str, Array]:
     """Nominal values of what stands where it was calibrated, by name of its slot."""
-    instrument, proposed, kept = problem.instrument, result.document.get("proposed") or {}, {}
+    instrument, proposed, kept = problem.instrument, result.found.proposed, {}
     there: dict[str, list[str]] = {}
     unknowns: dict[str, Unknown] = {}
     for key, unknown in instrument.unknowns.items():
@@ -217,13 +215,11 @@ def _noise_used(result: CalibratedArm, bound: BoundProblem, *, other: bool) -> d
     showed beside the calibration's instrument is added: joints that do not repeat err whoever watches, while a face
     that is not flat errs alone.
     """
-    noise = result.document.get("noise") or {}
-    faces = (noise.get("by_face") or {}).items()
-    alone = "without_joints_mm"  # lacking in files from before joints were told apart
-    pairs = {name: (float(face["stated_mm"]), float(face.get(alone, face["used_mm"]))) for name, face in faces}
-    if not pairs:
+    noise = result.found.noise
+    if not noise.by_face:
         return {}
-    joints = {REPEATABILITY: rad} if (rad := float(noise.get("joints_rad", 0.0))) > 0 else {}
+    pairs = {name: (face.stated_mm, face.without_joints_mm) for name, face in noise.by_face.items()}
+    joints = {REPEATABILITY: noise.joints_rad} if noise.joints_rad > 0 else {}
     if other:
         excess = min(used**2 - stated**2 for stated, used in pairs.values())
         stated = float(np.median(bound.block.noise))

@@ -61,20 +61,19 @@ class Opened:
 
         The logarithm of a standard deviation from nu degrees of freedom has the variance 1 / (2 nu).
         """
-        noise = self.arm.document.get("noise") or {}
-        used = any(face["used_mm"] > face["stated_mm"] for face in (noise.get("by_face") or {}).values())
-        low, high = noise.get("low"), noise.get("high")
-        if not used or not low or not high or not high > low:
+        noise = self.arm.found.noise
+        used = any(face.used_mm > face.stated_mm for face in noise.by_face.values())
+        if not used or not noise.high > noise.low > 0:
             return math.inf
-        return 0.5 / (math.log(high / low) / (2 * 1.96)) ** 2
+        return 0.5 / (math.log(noise.high / noise.low) / (2 * 1.96)) ** 2
 
     def about(self, fresh: Fresh, standing: tuple[str, ...]) -> dict[str, Any]:
         """The fields of `Judged`."""
-        verdict = self.arm.document.get("verdict") or {}
+        verdict = self.arm.found.verdict
         return {
             "robot": self.source.problem.robot.name,
             "result": self.arm.file,
-            "verdict": (str(verdict.get("level", "")), str(verdict.get("words", ""))),
+            "verdict": ("", "") if verdict is None else (verdict.level, verdict.words),
             "samples": self.rows.file,
             "sha256": self.rows.sha256,
             "rows": len(self.rows),
@@ -173,11 +172,11 @@ def _fresh_among(arm: CalibratedArm, source: ProblemFile, rows: Samples, *, othe
     Raises SamplesError where half of the rows or more are those that were fitted.
     """
     again = copies(rows)
-    once, data = rows.take(np.flatnonzero(~again)), arm.document.get("data") or {}
+    once, data = rows.take(np.flatnonzero(~again)), arm.found.data
     seen, part = np.zeros(len(once), dtype=bool), 0.0
-    if data.get("fitted_rows") is not None:
-        seen, part = fitted_among(once, source.problem.layout(), data["fitted_rows"])
-    elif data.get("sha256") == rows.sha256 and arm.document.get("method") != "truth":
+    if data.fitted_rows is not None:
+        seen, part = fitted_among(once, source.problem.layout(), data.fitted_rows)
+    elif data.sha256 == rows.sha256 and arm.found.method != "truth":
         part = 1.0  # a result from before results held their rows
     if part >= SPENT:
         said = "these are the rows" if seen.all() or not seen.any() else "half of the rows or more are those"
@@ -190,7 +189,7 @@ def _fresh_among(arm: CalibratedArm, source: ProblemFile, rows: Samples, *, othe
     fresh = once.take(np.flatnonzero(~seen))
     remarks = (NOTHING if other else Told.by(arm, fresh)).beyond
     if not other:
-        remarks += (*_unlabelled(fresh, source, arm), *_same_postures(fresh, source, data.get("fitted_rows")))
+        remarks += (*_unlabelled(fresh, source, arm), *_same_postures(fresh, source, data.fitted_rows))
     return Opened(arm, source, fresh, copied, fitted, other, remarks)
 
 
@@ -200,7 +199,7 @@ def _unlabelled(fresh: Samples, source: ProblemFile, arm: CalibratedArm) -> list
     if groups is None or fresh.labels[groups].names != (groups,):
         return []
     keys = [key for key, unknown in source.problem.instrument.unknowns.items() if unknown.per == groups]
-    names = [row["name"].split(".") for row in arm.document.get("unknowns", ())]
+    names = [name.split(".") for name in arm.found.unknowns]
     known = {name[-2] for name in names if len(name) > 2 and name[-3] in keys}
     if len(known) < 2:
         return []

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 
+from casacal.compensation.arm import CalibratedArm
 from casacal.errors import CasacalError
 from casacal.pages.drawing import Panel, figure, number, picture, tag
 from casacal.pages.render import fixed, mm, rendered, shortened
@@ -30,10 +30,10 @@ def verification_page(found: Figures) -> str:
     return rendered("verification.html", {"title": title, "part_of_report": False, **_context(found)})
 
 
-def with_section(path: Path, document: Mapping[str, Any], found: Figures) -> str:
+def with_section(path: Path, arm: CalibratedArm, found: Figures) -> str:
     """The text of a calibration's report with the section of a verification.
 
-    document: the result.json that the report is of. Raises CasacalError where there is no such report, or it is of
+    arm: the result that the report is of. Raises CasacalError where there is no such report, or it is of
     another calibration.
     """
     try:
@@ -41,7 +41,7 @@ def with_section(path: Path, document: Mapping[str, Any], found: Figures) -> str
     except (OSError, UnicodeDecodeError):
         fix = "Write a separate page: --report FILE"
         raise CasacalError(f"There is no report '{path}' to write into", fix) from None
-    marks = [str(document.get(part, {}).get("sha256", "")) for part in ("problem", "data")]
+    marks = [arm.source.sha256, arm.found.data.sha256]
     if "<title>Calibration of" not in text or text.count(BEFORE) != 1 or not all(mark in text for mark in marks):
         raise CasacalError(f"'{path}' is not the report of this result", "Write a separate page: --report FILE")
     section = rendered("verified.html", {"part_of_report": True, **_context(found)})

@@ -15,7 +15,8 @@ from casacal.calibration.page.measured import measured, worst_rows
 from casacal.calibration.page.residual_pictures import face_maps, histograms, row_plots
 from casacal.calibration.page.touches import Touches
 from casacal.calibration.told import verdict_lines
-from casacal.calibration.verdict import Level, verdict_of
+from casacal.calibration.verdict import verdict_of
+from casacal.compensation.result import Level
 from casacal.pages.render import count, fixed, mm, rendered
 from casacal.uncertainty.beside_geometry import VERY_STRONG
 from casacal.uncertainty.expectation import Box
