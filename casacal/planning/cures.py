@@ -26,6 +26,7 @@ from casacal.planning.set_ups import EXTRA_TOUCHES, Offer, more_samples, offers
 from casacal.problem.cell import Cell
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
+from casacal.uncertainty.discrepancy import MANY
 from casacal.uncertainty.identifiability import NullDirection, WeakDirection, prior_scale
 from casacal.uncertainty.workspace import tip_stds, tool_unknowns, without_rigid, workspace_joints
 from casacal.wording import listed
@@ -130,8 +131,9 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[Outcome]:
     """What there would be after each cure at x (n,); the first unknowns are those that the samples share."""
     arm, at = seen(bound, x)
     told = arm.information(at)
+    few = bound.unknowns <= MANY  # to choose among touches takes the cube of their number for each
     try:
-        touches = Touches.of(bound, x)
+        touches = Touches.of(bound, x) if few else None
     except CasacalError:
         touches = None
     if touches is not None and touches.tilt >= MOST_TILT:  # no such arm is understood
@@ -146,14 +148,14 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[Outcome]:
     if len(bound.samples) > 1:
         yield from _more_of_each(bound, x, told)
         return
-    samples = extra_samples(bound, x) if touches is None else None
+    samples = extra_samples(bound, x) if touches is None and few else None
     if touches is None and samples is None:
         ways = (("same", "more samples of the same kind", 1), ("noise", "samples at half the noise", 4))
         for kind, how, weight in ways:
             more = weight * EXTRA_TOUCHES / len(bound.samples[0])
             yield Outcome(kind, f"{EXTRA_TOUCHES} {how}", EXTRA_TOUCHES, (1 + more) * told, arm.prior_std)
         return
-    known, field = Estimate.of(bound, x, told, () if touches is None else touches.labels), _field(arm, at)
+    known, field = Estimate(bound, x, told), _field(arm, at)
     pools: dict[Cell | None, Samples | None] = {None: samples}
     for offer in more_samples(bound.problem) if touches is None else offers(bound, touches):
         if offer.cell not in pools and touches is not None and offer.cell is not None:

@@ -20,10 +20,10 @@ FEWEST = 120  # samples without which there is nothing to choose among
 def extra_samples(bound: BoundProblem, x: Array) -> Samples | None:
     """Rows at x (n,) in random postures, with labels as those that there are; None where hardly any can be taken.
 
-    Also None for one of many labels, whose unknowns were taken out, and for what touches faces.
+    Also None for what touches faces.
     """
     problem, samples, rng = bound.problem.without_effects, bound.samples[0], np.random.default_rng(0)
-    if len(bound.samples) > 1 or bound.groups is not None or problem.instrument.probe is not None:
+    if len(bound.samples) > 1 or problem.instrument.probe is not None:
         return None
     stands = {slot.name: x[slot.columns] for slot in bound.slots}
     draw = Draw(0, known=stands, nominals={slot.name: slot.nominal for slot in bound.slots})
