@@ -76,7 +76,7 @@ class Tracked:
         """Standard deviation (mm RMS) that a result has of the same, reflector and station fitted."""
         poses = found.predict(self.joints, force=True).poses
         motion, x = found.unjudged.motion, found.unjudged.used_x
-        columns = motion.arm.shared if isinstance(motion.arm, Marginal) else np.arange(x.size)
+        columns = motion.arm.free if isinstance(motion.arm, Marginal) else np.arange(x.size)
         reflector = self.fitted(poses)[1]
 
         def reached(at: np.ndarray) -> np.ndarray:

@@ -421,8 +421,8 @@ def test_a_soft_arm_is_doubted_but_corrected():
     assert [effect.key for effect in at_most(found.fit)] == ["give"]
     assert "give" in found.corrected
     assert any("gravity sag reached 5 times" in text.lower() for text in verdict_of(found).reasons)
-    sag = np.array([found.fit.beside[j] == "give" for j in found.motion.arm.shared])
-    estimate = found.result.x[found.motion.arm.shared]
+    sag = np.array([found.fit.beside[j] == "give" for j in found.motion.arm.free])
+    estimate = found.result.x[found.motion.arm.free]
     np.testing.assert_array_equal(found.motion.off[sag], estimate[sag])  # the whole correction may be an error
 
 

@@ -28,7 +28,6 @@ from casacal import (
     plate,
     simulate,
 )
-from casacal.binding import evaluated_rows
 from casacal.calibration.brief import best_cure, brief, fall, nothing_helps
 from casacal.calibration.result_json import calibration_document
 from casacal.calibration.summary import summary
@@ -220,19 +219,6 @@ def test_the_noise_in_use_counts(hsr, corner_simulation):
 
 
 @pytest.mark.long
-def test_many_faces_give_the_same_figures(hsr, monkeypatch):
-    """Unknowns of single faces are taken out of the sum where faces are many; these then come back with their rows."""
-    cell = Cell(faces=tuple(dataclasses.replace(f, label=f"{f.label}{k}") for k in range(4) for f in hsr.cell.faces))
-    samples = simulate(hsr.problem, cell, seed=1).samples
-    whole = bind(hsr.problem, samples)
-    x, plain = lm(whole).x, by_kind(cures(whole, lm(whole).x))
-    monkeypatch.setattr(evaluated_rows, "MANY", 40)
-    parted = bind(hsr.problem, samples)
-    assert parted.groups is not None
-    assert by_kind(cures(parted, x)) == pytest.approx(plain, rel=1e-6)
-
-
-@pytest.mark.long
 def test_planes_that_are_declared_or_face_away_change_nothing(hsr):
     """New faces stand where they are touched, not where a plane was declared; a step rises towards the tool."""
     samples = simulate(hsr.problem, FLAT, seed=1).samples
@@ -403,8 +389,8 @@ def test_two_figures_can_be_told_apart(now, after, said):
 
 
 @pytest.mark.long
-def test_labels_of_other_things_stay_as_they_mostly_are(hsr, monkeypatch):
-    """Tools by day: extra touches are made on the commonest day; many days are taken out of the sum as faces are."""
+def test_labels_of_other_things_stay_as_they_mostly_are(hsr):
+    """Tools by day: extra touches are made on the commonest day."""
     tool = Parameter((0.0, 0.0, 0.0), unit="mm", prior_std=0.5, per="day", labels=("_x", "_y", "_z"))
     problem = Problem(hsr.problem.robot, dataclasses.replace(hsr.problem.instrument, tool=tool))
     samples = simulate(hsr.problem, hsr.cell, seed=1).samples
@@ -419,7 +405,3 @@ def test_labels_of_other_things_stay_as_they_mostly_are(hsr, monkeypatch):
     kinds = by_kind(cures(whole, x))
     assert kinds.keys() == {"step", "same", "many", "noise", "face"}
     assert kinds["step"] == pytest.approx(planned_accuracy(together)[1], rel=0.05)
-    monkeypatch.setattr(evaluated_rows, "MANY", 40)
-    parted = bind(problem, samples, backend="blocks")
-    assert parted.groups is not None
-    assert by_kind(cures(parted, x)).keys() == kinds.keys()

@@ -290,7 +290,7 @@ def test_geometry_takes_over_what_it_can_of_what_is_not_corrected(sagging, calib
     motion, joints = found.motion, workspace_joints(found.fit.problem.robot)
     tips = motion.arm.tips(motion.x, joints)
     field = without_rigid(motion.arm.tip_jacobian(motion.x, joints), tips)
-    effects = np.array([bool(found.fit.beside[j]) for j in motion.arm.shared])
+    effects = np.array([bool(found.fit.beside[j]) for j in motion.arm.free])
     geometry = ~effects & ~motion.arm.datum
     assert not motion.x[effects].any()
     left, whole = field @ motion.off, field[:, effects] @ motion.off[effects]

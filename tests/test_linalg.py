@@ -7,6 +7,7 @@ from casacal.least_squares.linalg import (
     correlation,
     damped_solution,
     downdated,
+    freed_of,
     inverse_triangle,
     posterior_covariance,
     svd,
@@ -88,3 +89,14 @@ def test_a_matrix_at_which_divide_and_conquer_gives_up_is_taken_apart_all_the_sa
     np.testing.assert_allclose(left[:, :4] * values @ right[:4], matrix, atol=1e-12)
     with pytest.raises(np.linalg.LinAlgError):
         svd(np.full(shape, np.nan), full=full)
+
+
+@pytest.mark.parametrize("unseen", [False, True])
+def test_columns_taken_out_leave_the_schur_complement(unseen):
+    """By pseudo-inverse; two of the others that rows see together only take away what both do, not more."""
+    rng = np.random.default_rng(5)
+    a, b = rng.normal(size=(20, 4)), rng.normal(size=(20, 3))
+    if unseen:
+        b[:, 1], b[:, 2] = b[:, 0], 0.0
+    left = freed_of(a, b)
+    np.testing.assert_allclose(left.T @ left, a.T @ (a - b @ np.linalg.pinv(b) @ a), atol=1e-12)

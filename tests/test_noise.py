@@ -13,7 +13,7 @@ from casacal.calibration.brief import next_step
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
-from casacal.least_squares.information import determined
+from casacal.least_squares.linalg import determined
 from casacal.samples.repeats import copies_of
 from casacal.samples.samples import Samples
 from casacal.samples.write import write_samples

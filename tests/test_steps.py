@@ -17,7 +17,7 @@ from casacal.estimators.ekf import linear_update
 from casacal.estimators.sckf import Belief, cubature_update
 from casacal.kernels.filter_passes import Cubature
 from casacal.kernels.native_rows import NativeNormal, PackedPieces
-from casacal.least_squares import information
+from casacal.least_squares import objective
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.restricted import Restricted
 
@@ -260,7 +260,7 @@ def taken(monkeypatch):
     watch(PackedPieces, "extended_pass", "extended in C")
     watch(module["casacal.estimators.ekf"], "linear_update", "extended in NumPy")
     watch(NativeNormal, "step", "damped in C")
-    watch(information, "damped_solution", "damped in NumPy")
+    watch(objective, "damped_solution", "damped in NumPy")
     return seen
 
 

@@ -41,8 +41,8 @@ def bind(
         threads: how many share thousands of rows; None takes CASACAL_THREADS, else the processors at hand. Results do
             not depend on it.
 
-    Raises ProblemError when the number of sample sets is wrong, a label has too few rows for its own unknowns, or a row
-    has a derivative that is not finite at the nominal.
+    Raises ProblemError when the number of sample sets is wrong, a label has too few rows for its own unknowns, a row
+    has a derivative that is not finite at the nominal, or there are more unknowns than `MOST_UNKNOWNS`.
 
     """
     for some in (sets := sets_of(samples)):
@@ -54,6 +54,7 @@ def bind(
     return bound
 
 
+MOST_UNKNOWNS = 2_000  # with which a calibration takes about a minute and a gigabyte
 ABSURD = 1e12  # mm, rad or of whatever is read; squares of more overflow
 
 
@@ -100,6 +101,9 @@ class BoundProblem(EvaluatedRows):
         self.scale = FrozenMapping(scale)
         seen, none = [slot for slot in self.slots if slot.unknown.size], np.zeros(0)
         sizes = [slot.unknown.size for slot in seen]
+        if sum(sizes) > MOST_UNKNOWNS:
+            came = f"{sum(sizes):,} unknowns came, and a problem holds {MOST_UNKNOWNS:,} at most"
+            raise ProblemError(came, "Take the rows of fewer faces or other labels, or hold unknowns with --fix")
         self.names = tuple(name for slot in seen for name in slot.unknown.names(slot.name))
         self.units = tuple(unit for slot in seen for unit in slot.unknown.units)
         self.beside = tuple(slot.beside for slot in seen for _ in slot.columns)

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
 
-from casacal.array_types import Array, Index
+from casacal.array_types import Array
 from casacal.binding.all_rows import AllRows
 from casacal.binding.blocks import Block
 from casacal.binding.kernel_rows import FEW, KernelRows
 from casacal.binding.slots import Slot
 from casacal.kernels.filter_passes import FilterRows
 from casacal.kernels.native_rows import NativeKernels, NativeNormal, PackedPieces
-from casacal.least_squares.arrow import Arrow, Groups, grouped
-from casacal.least_squares.elimination import GroupRows
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import ExtendedPass, FilterPass, LeastSquares, Normal, Step
 
-COMPACT = 50_000  # rows beyond which no whole Jacobian is held
+COMPACT, HELD = 50_000, 10_000_000  # rows, and numbers of a whole Jacobian, beyond which none is held
 MOST_SUMS = 4_000_000  # numbers that the sums of all pieces may take: beyond, each piece sums what it sees alone
-MANY = 300  # unknowns from which those of one label alone are taken out, one label after the other
 
 
 class EvaluatedRows(AllRows, LeastSquares):
@@ -59,12 +55,8 @@ class EvaluatedRows(AllRows, LeastSquares):
 
     def compact_jacobian(self, x: Array) -> Array:
         """Rows (k, n) with the J'J of the whitened Jacobian: itself, or the triangle R of many rows."""
-        return self.jacobian(x) if self.rows <= COMPACT else self._rows.triangle(x)
-
-    @cached_property
-    def groups(self) -> Groups | None:
-        """Which unknowns belong to one label alone, where these are many: they are taken out label by label."""
-        return _groups([columns for block in self.blocks for columns in block.columns], self.slots)
+        few = self.rows <= COMPACT and self.rows * self.unknowns <= HELD
+        return self.jacobian(x) if few else self._rows.triangle(x)
 
     @cached_property
     def _packed(self) -> PackedPieces | None:
@@ -76,9 +68,7 @@ class EvaluatedRows(AllRows, LeastSquares):
     @cached_property
     def _native(self) -> NativeNormal | None:
         """Sums in C; None where some rows are not evaluated in C, or pieces and unknowns are many."""
-        if self.groups is not None or self._packed is None:
-            return None
-        if len(self._packed.pieces) * self.unknowns**2 > MOST_SUMS:
+        if self._packed is None or len(self._packed.pieces) * self.unknowns**2 > MOST_SUMS:
             return None
         threads = self._threads if self.rows >= FEW else 1
         return NativeNormal(self._packed, self.x0, self.start_std, self.prior_information, threads)
@@ -87,42 +77,16 @@ class EvaluatedRows(AllRows, LeastSquares):
         """Cost, gradient and information of the data, accumulated in the kernels; rows weighted by a loss."""
         if loss is None and self._native is not None:
             return Normal(*self._native.sums(x))
-        information = np.zeros((x.size, x.size)) if self.groups is None else Arrow.zero(self.groups)
-        cost, gradient = 0.0, np.zeros(x.size)
+        cost, gradient, information = 0.0, np.zeros(x.size), np.zeros((x.size, x.size))
         for piece, some, s in self._rows.sums(x, loss):
             cost += some
             gradient[piece.columns] += s[:-1, -1]
-            if isinstance(information, Arrow):
-                information.add(piece.columns, s[:-1, :-1])
-            else:
-                information[piece.columns[:, None], piece.columns] += s[:-1, :-1]
+            information[piece.columns[:, None], piece.columns] += s[:-1, :-1]
         return Normal(cost, gradient, information)
-
-    def group_rows(self, x: Array, loss: Loss | None = None) -> Iterator[GroupRows]:
-        """The whitened Jacobian, rows that see shared unknowns alone first, then group by group; weighted by a loss."""
-        groups = self.groups
-        assert groups is not None
-        kind, group, _ = groups.place
-        kept: dict[tuple[int, int], list[GroupRows]] = {}
-        for piece, e, slopes in self._rows.slopes(x):
-            noise = self._rows.noise[piece.numbers]
-            weight = 1.0 if loss is None else np.sqrt(loss.weight(e / noise))
-            whitened = (slopes * (weight / noise)[..., None]).reshape(-1, piece.columns.size)
-            mine = np.flatnonzero(kind[piece.columns] >= 0)
-            part = _of_group(groups, piece.columns, mine, piece.numbers.ravel(), whitened)
-            if mine.size:
-                first = piece.columns[mine[0]]
-                kept.setdefault((int(kind[first]), int(group[first])), []).append(part)
-            else:
-                yield part
-        for parts in kept.values():
-            rows = np.concatenate([part.rows for part in parts])
-            own, shared = np.vstack([part.own for part in parts]), np.vstack([part.shared for part in parts])
-            yield GroupRows(rows, parts[0].members, parts[0].among, own, shared)
 
     def damped_step(self, x: Array, normal: Normal, damping: float) -> Step | None:
         """A damped Gauss-Newton step; in C where rows are evaluated in C."""
-        if self._native is None or isinstance(normal.information, Arrow):
+        if self._native is None:
             return super().damped_step(x, normal, damping)
         found = self._native.step(x, normal.gradient, normal.information, damping)
         return None if found is None else Step(*found)
@@ -180,33 +144,3 @@ class EvaluatedRows(AllRows, LeastSquares):
         i = self._instrument(k)
         block = self.blocks[i]
         return block, *divmod(k - int(self.starts[i]), block.noise.shape[1])
-
-
-def _of_group(groups: Groups, columns: Index, mine: Index, numbers: Index, slopes: Array) -> GroupRows:
-    """Rows with slopes (m, z) by some unknowns (z,), of which those at `mine` are one group's own."""
-    kind, group, position = groups.place
-    theirs = np.setdiff1d(np.arange(columns.size), mine)
-    shared = np.zeros((len(slopes), groups.shared.size))
-    shared[:, position[columns[theirs]]] = slopes[:, theirs]
-    members = groups.own[kind[columns[mine[0]]]][group[columns[mine[0]]]] if mine.size else mine
-    own = np.zeros((len(slopes), members.size))
-    own[:, position[columns[mine]]] = slopes[:, mine]
-    return GroupRows(numbers, members, groups.shared, own, shared)
-
-
-def _groups(columns: Sequence[Index], slots: Sequence[Slot]) -> Groups | None:
-    """Unknowns of one label alone, by the label column that has most of them; None where all are few.
-
-    Those of effects beside the geometry do not count: they are left out where the geometry alone has many.
-    """
-    if sum(slot.unknown.size for slot in slots if not slot.beside) <= MANY:
-        return None
-    by_column: dict[str, list[int]] = {}
-    for slot in slots:
-        if slot.label is not None and slot.unknown.per is not None:
-            by_column.setdefault(slot.unknown.per, []).extend(slot.columns)
-    if not by_column:
-        return None
-    own = np.zeros(sum(slot.unknown.size for slot in slots), dtype=bool)
-    own[max(by_column.values(), key=len)] = True
-    return grouped(columns, own)

@@ -110,9 +110,10 @@ class KernelRows:
         def of_piece(piece: Piece) -> Array:
             _, slopes = piece.kernels.slopes(piece.parameters(x), piece.lanes)
             whitened = slopes / self.noise[piece.numbers].T[:, None]
-            whole = np.zeros((self._unknowns, piece.numbers.size))
-            whole[piece.columns] = whitened.transpose(1, 0, 2).reshape(piece.columns.size, -1)
-            return np.asarray(np.linalg.qr(whole.T, mode="r"))
+            own = np.linalg.qr(whitened.transpose(1, 0, 2).reshape(piece.columns.size, -1).T, mode="r")
+            whole = np.zeros((len(own), self._unknowns))
+            whole[:, piece.columns] = own
+            return whole
 
         return np.asarray(np.linalg.qr(np.vstack(shared_out(of_piece, self.pieces, self._threads)), mode="r"))
 

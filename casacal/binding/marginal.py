@@ -12,7 +12,7 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.slots import make_slots
 from casacal.estimators import lm
-from casacal.least_squares.elimination import GroupRows, taken_out, triangle
+from casacal.least_squares.linalg import freed_of
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import Normal
 from casacal.least_squares.restricted import Restricted
@@ -20,22 +20,18 @@ from casacal.samples.samples import Samples
 
 
 class Marginal(Restricted):
-    """Some unknowns (s,) of a bound problem: not those of single labels where these are many, and not all of effects.
+    """The unknowns (s,) of a bound problem's geometry, and of effects beside it none, or those that move the tip.
 
     The others stand at a given x and move freely with these: information is what is left after they are taken out.
-    Positions in x are not those of the slots. Of effects beside the geometry none is among them, or those that move the
-    tip (`motion`).
+    Positions in x are not those of the slots. With `motion`, effects that move the tip are among them.
     """
 
     whole: BoundProblem
 
     def __init__(self, whole: BoundProblem, at: Array, *, motion: bool = False) -> None:
-        shared = np.arange(whole.unknowns) if whole.groups is None else whole.groups.shared
         kept = {effect.key for effect in whole.problem.effects if effect.moves} if motion else set()
-        self._effects = np.array([bool(whole.beside[j]) and whole.beside[j] not in kept for j in shared], dtype=bool)
-        self._with_effects = shared
-        super().__init__(whole, np.isin(np.arange(whole.unknowns), shared[~self._effects]), at)
-        self.shared = self.free
+        self._out = np.array([bool(key) and key not in kept for key in whole.beside], dtype=bool)
+        super().__init__(whole, ~self._out, at)
         self.problem, self.blocks, self.slots = whole.problem, whole.blocks, whole.slots
 
     def __eq__(self, other: object) -> bool:
@@ -52,18 +48,13 @@ class Marginal(Restricted):
         return self.compact_jacobian(x)
 
     def compact_jacobian(self, x: Array) -> Array:
-        """Rows (k, s) with the J'J that is left of the shared unknowns."""
-        prior, full = self.whole.prior_information, self.expand(x)
-        if self.whole.groups is None:
-            rows = self.whole.compact_jacobian(full)
-        else:
-            parts = (taken_out(part.held(prior[part.members])).rows for part in self.whole.group_rows(full))
-            rows = triangle(parts, self._with_effects.size)
-        if not self._effects.any():
+        """Rows (k, s) with the J'J that is left of these unknowns."""
+        rows = self.whole.compact_jacobian(self.expand(x))
+        if not self._out.any():
             return rows
-        members, among = np.flatnonzero(self._effects), np.flatnonzero(~self._effects)
-        part = GroupRows(np.arange(len(rows)), members, among, rows[:, members], rows[:, among])
-        return triangle([taken_out(part.held(prior[self._with_effects[members]])).rows], among.size)
+        held = np.diag(np.sqrt(self.whole.prior_information))[self._out]  # what holds the others besides the rows
+        rows = np.vstack([rows, held])
+        return freed_of(rows[:, self.free], rows[:, self._out])
 
     def normal(self, x: Array, loss: Loss | None = None) -> Normal:
         """Cost and gradient (s,) where the others stand, information (s, s) with them taken out."""
@@ -90,7 +81,7 @@ Seen: TypeAlias = BoundProblem | Marginal
 
 def seen(bound: BoundProblem, x: Array, *, motion: bool = False) -> tuple[Seen, Array]:
     """What figures of the arm need at x (n,), and the part of x that it has: all, where that is all there is."""
-    if bound.groups is None and not any(bound.beside):
+    if not any(bound.beside):
         return bound, x
     found = Marginal(bound, x, motion=motion)
     return found, x[found.free]

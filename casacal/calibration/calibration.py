@@ -199,7 +199,7 @@ class Calibration(Fitted):
         """How estimate and tip follow every reading and prior; raises CasacalError where it is no minimum."""
         (_, tips, slopes), arm = self.workspace, self.motion.arm
         field = np.zeros((tips.size, self.fit.unknowns))
-        field[:, arm.shared if isinstance(arm, Marginal) else slice(None)] = without_rigid(slopes, tips)
+        field[:, arm.free if isinstance(arm, Marginal) else slice(None)] = without_rigid(slopes, tips)
         return sensitivity(self.fit, self.result, field)
 
     @cached_property

@@ -198,9 +198,9 @@ class Fitted(Value):
     @cached_property
     def tool_findings(self) -> tuple[Finding, ...]:
         """That the tool stands elsewhere than the problem says, where it does."""
-        if self.fit.groups is not None or not self.fit.unknowns:  # thousands of faces are looked at face by face
+        if not self.fit.unknowns:
             return ()
-        return tuple(tool_elsewhere_at(self.bare, self.plain.x, self.plain.spread[0]))
+        return tuple(tool_elsewhere_at(self.bare, self.plain.x, self.plain.covariance))
 
     @cached_property
     def data_errors(self) -> tuple[Finding, ...]:

@@ -47,7 +47,7 @@ class Motion:
         doubted = doubtful(fit, corrected) if corrected else set()
         sure = used_arm(fit, result, set(corrected) - doubted) if doubted else used
         arm, estimate = moving(fit, result.x)
-        x, less = (each[arm.shared] if isinstance(arm, Marginal) else each for each in (used, sure))
+        x, less = (each[arm.free] if isinstance(arm, Marginal) else each for each in (used, sure))
         off = estimate - less
         return Motion(arm, x, off if off.any() else None, among(result, arm))
 
@@ -64,12 +64,12 @@ def used_arm(fit: BoundProblem, result: Result, corrected: Collection[str]) -> A
         return result.x
     arm, x = moving(fit, result.x)
     assert isinstance(arm, Marginal)
-    field = np.vstack([_over_workspace(fit, arm, x), _where_seen(fit, result.x)[:, arm.shared]])
+    field = np.vstack([_over_workspace(fit, arm, x), _where_seen(fit, result.x)[:, arm.free]])
     geometry = ~np.array([bool(key) for key in besides(arm)], dtype=bool) & ~arm.datum
-    lost = field[:, left[arm.shared]] @ x[left[arm.shared]]
+    lost = field[:, left[arm.free]] @ x[left[arm.free]]
     moves = np.linalg.lstsq(field[:, geometry] * arm.start_std[geometry], lost, rcond=SMALLEST)[0]
     used = np.where(left, 0.0, result.x)
-    used[arm.shared[geometry]] += moves * arm.start_std[geometry]
+    used[arm.free[geometry]] += moves * arm.start_std[geometry]
     faces = Restricted(fit, fit.datum, used)
     return np.asarray(faces.expand(lm(faces, start=used[fit.datum]).x))
 
@@ -111,15 +111,12 @@ def _where_seen(fit: BoundProblem, x: Array) -> Array:
 
 def besides(arm: Seen) -> tuple[str, ...]:
     """For each unknown the effect that it belongs to, empty for those of the geometry."""
-    return tuple(arm.whole.beside[j] for j in arm.shared) if isinstance(arm, Marginal) else arm.beside
+    return tuple(arm.whole.beside[j] for j in arm.free) if isinstance(arm, Marginal) else arm.beside
 
 
 def among(result: Result, arm: Seen) -> Array:
     """Covariance (s, s) of some unknowns of a fit."""
-    found = result.spread[0]
-    if isinstance(arm, Marginal) and len(found) == result.problem.unknowns:
-        return np.asarray(found[np.ix_(arm.shared, arm.shared)])
-    return found
+    return result.covariance[np.ix_(arm.free, arm.free)] if isinstance(arm, Marginal) else result.covariance
 
 
 def tip_extremes(motion: Motion, workspace: tuple[Array, Array, Array]) -> tuple[float, float]:

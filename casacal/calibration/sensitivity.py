@@ -68,9 +68,9 @@ def sensitivity(fit: BoundProblem, result: Result, tip: Array) -> Sensitivity:
     """
     if result.loss is not None or not result.converged or not result.kkt < FLAT:
         raise CasacalError("This estimate is no minimum of the plain objective", "Use lm or sckf-lm without a loss")
-    if fit.rows > MOST_ROWS or fit.groups is not None:
+    if fit.rows > MOST_ROWS:
         what = f"{fit.rows:,} rows with {fit.unknowns:,} unknowns are too many for the sensitivity"
-        raise CasacalError(what, f"Take fewer faces, and at most {MOST_ROWS:,} rows")
+        raise CasacalError(what, f"Take at most {MOST_ROWS:,} rows")
     kinds, starts = fit.symbolic.kinds, fit.measured.starts
     models = [_row_function(*each) for each in zip(fit.problem.models, fit.problem.instruments, strict=True)]
     hessian, found = np.diag(fit.prior_information), []

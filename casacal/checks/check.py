@@ -85,8 +85,8 @@ def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, .
     if base > SUSPICIOUS:
         return _in_order([_unexplained(problem, samples, base, findings), *findings])
     quick = quick_fit(problem, few)
-    if quick is not None and quick[0].groups is None:
-        fitted = quick[0], quick[1].x, quick[1].spread[0]
+    if quick is not None:
+        fitted = quick[0], quick[1].x, quick[1].covariance
         findings += [*tool_elsewhere_at(*fitted), *wrong_scale(*fitted)]
     findings += [*_untold(problem, few, base), *_rows(bind(problem, good))]
     if all(finding.severity != "error" for finding in findings):

@@ -187,7 +187,7 @@ def _less_shifts(samples: Samples, *sizes: float, column: str, places: Sequence[
 def _where_shifted(problem: Problem, rows: Samples, column: str) -> int | None:
     """The row from which a shift of the readings gains most; None where none can be told."""
     fitted, count = quick_fit(problem, rows), len(rows)
-    if fitted is None or fitted[0].groups is not None or not 2 * FEWEST < count <= ENOUGH:
+    if fitted is None or not 2 * FEWEST < count <= ENOUGH:
         return None
     bound, result = fitted
     here, places = bound.residual(result.x), np.arange(FEWEST, count - FEWEST)

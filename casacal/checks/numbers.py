@@ -63,8 +63,6 @@ def wrong_number(bound: BoundProblem, *, alone: bool = False) -> list[Finding]:
     likelier with the number as drawn and larger effects beside the geometry, it is not said to be another, unless
     geometry is to stand `alone`.
     """
-    if bound.groups is not None:
-        return []
     stated = bound.with_noise() if bound.scale else bound
     result = lm(stated)
     if not result.converged:

@@ -56,8 +56,6 @@ def not_the_same(bound: BoundProblem, result: Result) -> list[Finding]:
     An instrument that had one of its own would see it by the derivative of its own rows. The fall of chi-square by such
     a difference, all unknowns following within their priors, has as many degrees of freedom as directions show.
     """
-    if bound.groups is not None:  # faces are so many that each is fitted by itself
-        return []
     owners = np.searchsorted(np.cumsum([len(some) for some in bound.samples]), bound.sample_of, side="right")
     found = []
     for key, names in bound.problem.shared.items():

@@ -8,7 +8,6 @@ import numpy as np
 
 from casacal.estimators.lm import lm
 from casacal.estimators.nominal import nothing_unknown
-from casacal.least_squares.information import with_diagonal
 from casacal.least_squares.linalg import svd
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.restricted import Restricted
@@ -31,7 +30,7 @@ def plane_only(problem: LeastSquares, *, max_steps: int = 100, tolerance: float 
     part = Restricted(problem, problem.datum, problem.x0)
     fitted = lm(part, max_steps=max_steps, tolerance=tolerance)
     x, fitted_alone = part.expand(fitted.x), problem.datum.astype(np.float64)
-    information = with_diagonal(problem.normal(x).information, fitted_alone, np.zeros(x.size))
+    information = problem.normal(x).information * np.outer(fitted_alone, fitted_alone)
     return replace(fitted, method="plane-only", problem=problem, x=x, information=information, belief=None)
 
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.estimators.nominal import nothing_unknown
-from casacal.least_squares.arrow import check_size
 from casacal.least_squares.objective import ExtendedPass, LeastSquares
 from casacal.least_squares.result import Result, Status
 
@@ -52,7 +51,6 @@ def ekf(problem: LeastSquares, *, progress: Callable[[int, float], None] | None 
     if not problem.unknowns:
         return nothing_unknown(problem, "ekf")
     scale = problem.start_std
-    check_size(problem.unknowns)
     mean, covariance = np.zeros(problem.unknowns), np.eye(problem.unknowns)
     done = problem.extended_pass(mean, covariance)
     if done is None:

@@ -13,7 +13,6 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.estimators.nominal import nothing_unknown
-from casacal.least_squares.arrow import check_size
 from casacal.least_squares.linalg import downdated, tria
 from casacal.least_squares.objective import FilterPass, LeastSquares
 from casacal.least_squares.result import Result, Status
@@ -120,7 +119,6 @@ def sckf(
     """
     if not problem.unknowns:
         return nothing_unknown(problem, "sckf")
-    check_size(problem.unknowns)
     scale = problem.start_std
     process = None if process_std is None else np.diag(process_std / scale)
     belief = begun(problem)

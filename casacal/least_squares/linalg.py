@@ -16,6 +16,8 @@ LEAST_PIVOT = 1e-12
 WELL_CONDITIONED = 1e-12
 """Reciprocal condition number above which a unit-diagonal information matrix is inverted as it is."""
 
+ROUNDING = 16 * float(np.finfo(float).eps)  # part of a unit diagonal that rounding leaves of what nothing holds
+
 
 def tria(wide: Array) -> Array:
     """Lower triangular S (n, n) with S S' = A A' and a non-negative diagonal, from A (n, m), m >= n.
@@ -92,6 +94,24 @@ def revealed_solution(rows: Array, gradient: Array, damping: float) -> tuple[Arr
     return along @ directions, squared_length, -float(slope @ along) - squared_length / 2
 
 
+def freed_of(rows: Array, others: Array) -> Array:
+    """R (k, s) with the A'A that is left of columns A (m, s) where the unknowns of other columns B (m, k) move freely.
+
+    By orthogonal projection, which loses no digit as a difference of matrices would. Directions of the others that no
+    row sees take nothing away.
+    """
+    left, values, _ = svd(others)
+    left = left[:, values > others.shape[1] * np.finfo(float).eps * values.max(initial=0.0)]
+    return np.asarray(np.linalg.qr(rows - left @ (left.T @ rows), mode="r"))
+
+
+def with_diagonal(information: Array, scale: Array, diagonal: Array) -> Array:
+    """D A D + E (n, n) with diagonals D and E (n,)."""
+    found = scale[:, None] * information * scale
+    found.flat[:: scale.size + 1] += diagonal
+    return found
+
+
 def information_of(prior_std: Array) -> Array:
     """1 / s^2 of each unknown (n,), zero where the prior is flat."""
     return np.where(np.isfinite(prior_std), 1.0 / prior_std**2, 0.0)
@@ -138,6 +158,20 @@ def posterior_covariance(data_information: Array, prior_std: Array) -> Array:
     covariance[:, lost] = 0.0
     covariance[lost, lost] = np.inf
     return np.asarray(covariance)
+
+
+def determined(data_information: Array, prior_std: Array) -> float:
+    """How many unknowns the data determined: the trace of J (J'J + Lambda)^-1 J', to a few where priors are flat.
+
+    It is the rank of J'J + Lambda less what the prior holds, sum_j (posterior variance / prior variance): no flat
+    unknown enters the sum.
+    """
+    information = with_diagonal(data_information, np.ones(len(prior_std)), information_of(prior_std))
+    scale = unit_scale(np.diagonal(information))
+    values, vectors = np.linalg.eigh(scale[:, None] * information * scale)
+    held, firm = values > ROUNDING * len(values), np.isfinite(prior_std)
+    variances = scale**2 * (vectors[:, held] ** 2 / values[held]).sum(axis=1)
+    return float(held.sum() - np.clip(variances[firm] / prior_std[firm] ** 2, 0.0, 1.0).sum())
 
 
 def inverse_triangle(root: Array) -> Array:

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -20,10 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from casacal.array_types import Array, Index, Rows
-from casacal.least_squares.arrow import Arrow
-from casacal.least_squares.elimination import GroupRows, revealed_step
-from casacal.least_squares.information import Information, damped_by, with_diagonal
-from casacal.least_squares.linalg import information_of, revealed_solution
+from casacal.least_squares.linalg import damped_solution, information_of, revealed_solution, with_diagonal
 from casacal.least_squares.losses import Loss
 
 
@@ -33,7 +29,7 @@ class Normal:
 
     cost: float
     gradient: Array
-    information: Information
+    information: Array
 
 
 class Step(NamedTuple):
@@ -154,14 +150,9 @@ class LeastSquares(ABC):
         """Rows (k, n) with the J'J of the whitened Jacobian, few enough to hold: what singular values need."""
         return self.jacobian(x)
 
-    def group_rows(self, x: Array, loss: Loss | None = None) -> Iterator[GroupRows]:
-        """The whitened Jacobian at x (n,) group by group, where information is an arrow; rows weighted by a loss."""
-        raise NotImplementedError
-
     def information(self, x: Array) -> Array:
         """J'J (n, n) of the data at x (n,)."""
-        found = self.normal(x).information
-        return found.dense() if isinstance(found, Arrow) else found
+        return self.normal(x).information
 
     def weighted_rows(self, x: Array, loss: Loss | None = None) -> Array:
         """Rows (k, n) with the J'WJ at x (n,), W the weights of a loss: what singular values need."""
@@ -177,7 +168,7 @@ class LeastSquares(ABC):
         scale = self.start_std
         information = with_diagonal(normal.information, scale, scale**2 * self.prior_information)
         gradient = scale * (normal.gradient + self.prior_information * (x - self.x0))
-        step = damped_by(information, gradient, damping)
+        step = damped_solution(information, gradient, damping)
         if step is None:
             return None
         return Step(x + scale * step, float(step @ (information @ step)), float(step @ (damping * step - gradient)) / 2)
@@ -186,13 +177,8 @@ class LeastSquares(ABC):
         """The same step from singular values, where normal equations are not safe; None where not all is finite."""
         scale, prior = self.start_std, self.prior_information
         gradient = scale * (normal.gradient + prior * (x - self.x0))
-        if isinstance(normal.information, Arrow):
-            parts = (part.scaled(scale) for part in self.group_rows(x, loss))
-            information = normal.information.scaled(scale).plus(scale**2 * prior)
-            found = revealed_step(parts, information, scale**2 * prior, gradient, damping)
-        else:
-            stacked = np.vstack([self.weighted_rows(x, loss), np.diag(np.sqrt(prior))]) * scale
-            found = revealed_solution(stacked, gradient, damping)
+        stacked = np.vstack([self.weighted_rows(x, loss), np.diag(np.sqrt(prior))]) * scale
+        found = revealed_solution(stacked, gradient, damping)
         return None if found is None else Step(x + scale * found[0], found[1], found[2])
 
     def costs(self, states: Array, loss: Loss | None = None) -> Array:

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from casacal.array_types import Array, Rows
-from casacal.least_squares.elimination import GroupRows
-from casacal.least_squares.information import among
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares, Normal
 
@@ -58,11 +54,4 @@ class Restricted(LeastSquares):
     def normal(self, x: Array, loss: Loss | None = None) -> Normal:
         """Normal equations of the free unknowns."""
         whole = self.whole.normal(self.expand(x), loss)
-        return Normal(whole.cost, whole.gradient[self.free], among(whole.information, self.free))
-
-    def group_rows(self, x: Array, loss: Loss | None = None) -> Iterator[GroupRows]:
-        """Columns of the free unknowns, group by group."""
-        new = np.full(self.whole.unknowns, -1, dtype=np.intp)
-        new[self.free] = np.arange(self.free.size)
-        for part in self.whole.group_rows(self.expand(x), loss):
-            yield part.renumbered(new)
+        return Normal(whole.cost, whole.gradient[self.free], whole.information[np.ix_(self.free, self.free)])

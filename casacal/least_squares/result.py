@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -13,8 +12,6 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError, came
-from casacal.least_squares.arrow import Arrow
-from casacal.least_squares.information import Information, diagonal_of, posterior_spread
 from casacal.least_squares.linalg import column_scales, posterior_covariance
 from casacal.least_squares.losses import Loss, worth_under
 from casacal.least_squares.objective import LeastSquares
@@ -69,7 +66,7 @@ class Result(Value):
     residual_rows: int
     jacobian_rows: int
     loss: Loss | None = None
-    information: Information | None = None
+    information: Array | None = None
     belief: Array | None = None
 
     def __post_init__(self) -> None:
@@ -85,27 +82,10 @@ class Result(Value):
         """Covariance of x (n, n); variances that neither data nor prior hold are infinite."""
         if self.belief is not None:
             return self.belief
-        found = self._told
-        return posterior_covariance(found.dense() if isinstance(found, Arrow) else found, self.problem.prior_std)
-
-    @cached_property
-    def spread(self) -> tuple[Array, Array]:
-        """Covariance (s, s) of the unknowns that are not of one label alone, and variances (n,) of all.
-
-        Where labels are few, all (n, n) are among the first.
-        """
-        if self.belief is None and isinstance(self._told, Arrow):
-            return posterior_spread(self._told, self.problem.prior_std)
-        return self.covariance, np.diagonal(self.covariance)
-
-    @cached_property
-    def _told(self) -> Information:
-        """J'J of the data at x; of a loss what its weights, and rows that they hold down, leave of it."""
-        found = self.problem.normal(self.x, self.loss).information if self.information is None else self.information
-        if self.loss is None:
-            return found
-        worth = worth_under(self.loss, self.problem.residual(self.x))
-        return found.scaled(np.full(self.x.size, math.sqrt(worth))) if isinstance(found, Arrow) else worth * found
+        told = self.problem.normal(self.x, self.loss).information if self.information is None else self.information
+        if self.loss is not None:  # what its weights, and rows that they hold down, leave
+            told = worth_under(self.loss, self.problem.residual(self.x)) * told
+        return posterior_covariance(told, self.problem.prior_std)
 
     @cached_property
     def cost(self) -> float:
@@ -147,14 +127,14 @@ class Result(Value):
     @property
     def std(self) -> Array:
         """Posterior standard deviations (n,)."""
-        return np.sqrt(self.spread[1])
+        return np.sqrt(np.diagonal(self.covariance))
 
     @cached_property
     def kkt(self) -> float:
         """Largest component of the objective's gradient at x, in prior-scaled (flat: column-scaled) coordinates."""
         normal = self.problem.normal(self.x, self.loss)
         gradient = normal.gradient + self.problem.prior_information * (self.x - self.problem.x0)
-        scales = column_scales(diagonal_of(normal.information), self.problem.prior_std)
+        scales = column_scales(np.diagonal(normal.information), self.problem.prior_std)
         return float(np.abs(scales * gradient).max(initial=0.0))
 
 

@@ -28,6 +28,7 @@ from casacal.samples.samples import Samples
 from casacal.simulation.bench import bench_of
 from casacal.simulation.rows import exact_rows
 from casacal.simulation.true_arm import Draw
+from casacal.uncertainty.discrepancy import MANY
 from casacal.uncertainty.identifiability import NullDirection, WeakDirection, prior_scale
 from casacal.uncertainty.workspace import tip_stds, tool_unknowns, without_rigid, workspace_joints
 from casacal.wording import listed
@@ -135,8 +136,9 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[Outcome]:
     """What there would be after each cure at x (n,); the first unknowns are those that the samples share."""
     arm, at = seen(bound, x)
     told = arm.information(at)
+    few = bound.unknowns <= MANY  # to choose among touches takes the cube of their number for each
     try:
-        touches = Touches.of(bound, x)
+        touches = Touches.of(bound, x) if few else None
     except CasacalError:
         touches = None
     if touches is not None and touches.tilt >= MOST_TILT:  # no such arm is understood
@@ -151,14 +153,14 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[Outcome]:
     if len(bound.samples) > 1:
         yield from _more_of_each(bound, x, told)
         return
-    samples = extra_samples(bound, x) if touches is None else None
+    samples = extra_samples(bound, x) if touches is None and few else None
     if touches is None and samples is None:
         ways = (("same", "more samples of the same kind", 1), ("noise", "samples at half the noise", 4))
         for kind, how, weight in ways:
             more = weight * EXTRA_TOUCHES / len(bound.samples[0])
             yield Outcome(kind, f"{EXTRA_TOUCHES} {how}", EXTRA_TOUCHES, (1 + more) * told, arm.prior_std)
         return
-    known, field = Estimate.of(bound, x, told, () if touches is None else touches.labels), _field(arm, at)
+    known, field = Estimate(bound, x, told), _field(arm, at)
     pools: dict[Cell | None, Samples | None] = {None: samples}
     for offer in more_samples(bound.problem) if touches is None else offers(bound, touches):
         if offer.cell not in pools and touches is not None and offer.cell is not None:
@@ -212,10 +214,10 @@ def _spread(covariance: Array, along: Array) -> float:
 def extra_samples(bound: BoundProblem, x: Array) -> Samples | None:
     """Rows at x (n,) in random postures, with labels as those that there are; None where hardly any can be taken.
 
-    Also None for one of many labels, whose unknowns were taken out, and for what touches faces.
+    Also None for what touches faces.
     """
     problem, samples, rng = bound.problem.without_effects, bound.samples[0], np.random.default_rng(0)
-    if len(bound.samples) > 1 or bound.groups is not None or problem.instrument.probe is not None:
+    if len(bound.samples) > 1 or problem.instrument.probe is not None:
         return None
     stands = {slot.name: x[slot.columns] for slot in bound.slots}
     draw = Draw(0, known=stands, nominals={slot.name: slot.nominal for slot in bound.slots})

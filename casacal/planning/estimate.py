@@ -12,7 +12,6 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import OTHERS, by_face, times
 from casacal.binding.slots import Slot, make_slots
-from casacal.least_squares.linalg import posterior_covariance
 from casacal.problem.cell import Face
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
@@ -20,35 +19,11 @@ from casacal.samples.samples import Samples
 
 @dataclass(frozen=True)
 class Estimate:
-    """What the samples tell at the estimate, in shared unknowns and those of the labels that extra touches see."""
+    """What the samples tell at the estimate x (n,): their information (n, n)."""
 
     bound: BoundProblem
-    slots: tuple[Slot, ...]
     x: Array
     information: Array
-
-    @staticmethod
-    def of(bound: BoundProblem, x: Array, told: Array, labels: Sequence[str]) -> Estimate:
-        """At x (n,) of a bound problem, from the information (s, s) in what figures of its arm need."""
-        if bound.groups is None:
-            return Estimate(bound, bound.slots, x, told)
-        shared = set(bound.groups.shared.tolist())
-        first = [slot for slot in bound.slots if shared.issuperset(slot.columns)]
-        own = [slot for slot in bound.slots if slot.label in labels and not shared.issuperset(slot.columns)]
-        slots, x = _in_row([*first, *own], x)
-        if not own:
-            return Estimate(bound, slots, x, told)
-        # their own unknowns were taken out: the rows that see them go out of the sum, and come back with them
-        samples, instrument, key = bound.samples[0], bound.problem.instrument, own[0].key
-        groups, named = samples.labels[own[0].unknown.per or ""], {slot.label for slot in own}
-        codes = [k for k, name in enumerate(groups.names) if instrument.instance(key, name) in named]
-        rows = samples.take(np.flatnonzero(np.isin(groups.codes, codes)))
-        part = BoundProblem(bound.problem, slots, (rows,), "blocks", scale=bound.scale)
-        information, few = part.information(x), len(told)
-        across = information[:few, few:]
-        taken_out = across @ posterior_covariance(information[few:, few:], part.prior_std[few:]) @ across.T
-        information[:few, :few] = told + taken_out
-        return Estimate(bound, slots, x, information)
 
     def with_rows(
         self, problem: Problem, faces: Sequence[Face], rows: Samples, noise: float
@@ -58,7 +33,7 @@ class Estimate:
         Their noise is what was found, times a factor. What they alone see, such as a new face, comes last.
         """
         instrument, old = problem.instrument, dict[str, Slot]()
-        for slot in self.slots:  # as the instrument with a face for each label has them
+        for slot in self.bound.slots:  # as the instrument with a face for each label has them
             unknown = instrument.unknowns.get(slot.key)
             if slot.label is None and unknown is not None and unknown.per is not None:
                 slot = replace(slot, unknown=unknown, label="plane")

@@ -73,11 +73,6 @@ class Touches:
         held = more is None or not any(slot.datum and slot.unknown.size for slot in bound.slots)
         return Touches(problem, labelled.probe, touch, faces, senses, max(tilts), other, held)
 
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Labels that extra touches may have: those of the faces, and of all else the commonest."""
-        return (*(face.label for face in self.faces), *(values[0] for values in self.other.labels.values()))
-
     def on(self, cell: Cell) -> Samples | None:
         """Rows of touches shared between the faces of a cell; None where they are out of reach."""
         faces = len(cell.faces)

@@ -77,4 +77,4 @@ def common_scale(bound: Seen, x: Array, covariance: Array) -> CommonScale | None
 
 def _growth(bound: Seen) -> Array:
     """Change of x (s,) when all lengths grow by a part of one."""
-    return scale_direction(bound.whole)[bound.shared] if isinstance(bound, Marginal) else scale_direction(bound)
+    return scale_direction(bound.whole)[bound.free] if isinstance(bound, Marginal) else scale_direction(bound)

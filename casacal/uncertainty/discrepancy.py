@@ -16,12 +16,12 @@ from casacal.discrepancy.effect import Effect, Site
 from casacal.discrepancy.smooth import JointField
 from casacal.errors import ProblemError
 from casacal.estimators import lm
-from casacal.least_squares.information import diagonal_of
 from casacal.problem.problem import Problem
 from casacal.uncertainty.effect_sizes import Sizes, Told, effect_sizes, told
 from casacal.uncertainty.joint_repeatability import WORTH, beforehand, joints_err, with_joints
 
 ENOUGH = 300  # rows from which on a field of many unknowns can be told
+MANY = 300  # unknowns of the geometry beyond which each face has too few rows to say anything of effects
 NEARLY = 0.98  # part of the most that an effect may be from which it is taken to stand there
 
 SAGS = 0.5  # times the usual sag from which on it is asked whose weight it is
@@ -45,7 +45,7 @@ def with_effects(bound: BoundProblem, problem: Problem, *, find_noise: bool = Tr
         find_noise: whether noise is found beside the sizes; else it stays as it is.
 
     """
-    if bound.groups is not None or not bound.unknowns:
+    if not 0 < bound.unknowns <= MANY:
         return bound
     geometry = lm(bound)
     if not geometry.converged:
@@ -182,7 +182,7 @@ def errors_are_shared(whole: BoundProblem) -> bool:
 def err_as_stated(whole: BoundProblem) -> bool:
     """Whether noise and all effects of a row together, root mean square, are as much as was stated, or more."""
     beside = np.array(whole.beside, dtype=bool)
-    told = diagonal_of(whole.normal(whole.x0).information)
+    told = np.diagonal(whole.normal(whole.x0).information)
     noise = float(np.median(whole.noise))
     together = noise * float(np.sqrt(1 + told[beside] @ whole.prior_std[beside] ** 2 / whole.rows))
     return together >= float(np.median(whole.with_noise().noise))

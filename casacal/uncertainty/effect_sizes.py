@@ -12,7 +12,6 @@ from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 from scipy.optimize import minimize
 
 from casacal.array_types import Array
-from casacal.least_squares.arrow import Arrow
 from casacal.least_squares.objective import LeastSquares
 from casacal.values import FrozenMapping
 
@@ -42,8 +41,7 @@ class Told:
 def told(problem: LeastSquares, x: Array) -> Told:
     """All rows of a problem at x (n,), about which y = J x - r."""
     normal = problem.normal(x)
-    kept = normal.information
-    information = np.asarray(kept.dense() if isinstance(kept, Arrow) else kept, dtype=np.float64)
+    information = normal.information
     square = 2 * (normal.cost - float(x @ normal.gradient)) + float(x @ information @ x)
     return Told(information, information @ x - normal.gradient, square)
 

@@ -8,10 +8,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.least_squares.arrow import Arrow
-from casacal.least_squares.elimination import taken_out
-from casacal.least_squares.information import determined, posterior_spread
-from casacal.least_squares.linalg import svd
+from casacal.least_squares.linalg import determined, svd
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result
@@ -22,9 +19,8 @@ LARGE = 50_000  # rows among which it is no matter whether an unknown more or le
 
 def effective_unknowns(problem: LeastSquares, x: Array, loss: Loss | None = None) -> float:
     """How many unknowns the data determined at x (n,): the trace of the hat matrix, right under any mix of priors."""
-    information = problem.normal(x, loss).information
-    if isinstance(information, Arrow) or problem.rows > LARGE:
-        return determined(information, problem.prior_std)
+    if problem.rows > LARGE:
+        return determined(problem.normal(x, loss).information, problem.prior_std)
     rows = problem.weighted_rows(x, loss)
     if not np.isfinite(rows).all():
         return 0.0
@@ -37,8 +33,6 @@ def leverages(bound: BoundProblem, result: Result) -> Array:
     By an orthonormal basis of what the rows and the prior see, scaled column by column: right under flat priors too,
     where a covariance holds variances that no digit survives.
     """
-    if bound.groups is not None:
-        return np.clip(_by_group(bound, result), 0.0, 1.0)
     held = _inverse_root(bound.weighted_rows(result.x, result.loss), bound.prior_information)
     count, found = len(bound.measured), []
     for rows in np.array_split(np.arange(count), 1 + count // TOGETHER):
@@ -55,20 +49,6 @@ def _inverse_root(rows: Array, prior: Array) -> Array:
     _, values, right = svd(stacked * scale)
     seen = values > len(scale) * np.finfo(float).eps * values.max(initial=0.0)
     return np.asarray(scale[:, None] * right[seen].T / values[seen])
-
-
-def _by_group(bound: BoundProblem, result: Result) -> Array:
-    """The same where groups are many: of the shared unknowns, and of a group's own with these known."""
-    told, found = bound.normal(result.x, result.loss).information, np.zeros(bound.rows)
-    covariance = result.spread[0]
-    if result.loss is not None and isinstance(told, Arrow):  # J'WJ itself, whatever it is worth
-        covariance = posterior_spread(told, bound.prior_std)[0]
-    held = np.where(np.isfinite(covariance), covariance, 0.0)
-    for part in bound.group_rows(result.x, result.loss):
-        out = taken_out(part.held(bound.prior_information[part.members]))
-        beyond = part.shared - part.own @ out.along
-        found[part.rows] = ((beyond @ held) * beyond).sum(axis=1) + ((part.own @ out.inverse) * part.own).sum(axis=1)
-    return found
 
 
 HALF_WEIGHT = 0.5  # weight under a robust loss below which a row counts as ignored

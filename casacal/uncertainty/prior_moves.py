@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from casacal.array_types import Array, Index
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.marginal import Seen
-from casacal.least_squares.elimination import taken_out, triangle
 from casacal.uncertainty.figures import chance_beyond
 
 DULL = 1e-3  # part of a prior's variance that samples must take away from a direction before it can be said to move
@@ -95,8 +94,6 @@ def prior_scatter(bound: BoundProblem, *, flat_counts: bool = False) -> PriorSca
     """
     bound = _with_proposals_free(bound)
     stds = bound.start_std if flat_counts else bound.prior_std
-    if bound.groups is not None:
-        return _of_many_faces(bound, stds)
     bound = bound.thinned(MOST_ROWS)
     noise = bound.noise
     slopes = bound.jacobian(bound.x0) * noise[:, None]
@@ -113,20 +110,6 @@ def _with_proposals_free(bound: BoundProblem) -> BoundProblem:
     """What is held just where the drawn arm has it took over the drawn arm's errors, as if it had been fitted."""
     held = {slot.key for slot in bound.slots if slot.datum and slot.held_as_drawn}
     return bound.under(bound.problem.free(*sorted(held))) if held else bound
-
-
-def _of_many_faces(bound: BoundProblem, stds: Array) -> PriorScatter:
-    """The same, faces taken out one by one."""
-    noise = bound.noise
-    parts = []
-    for part in bound.group_rows(bound.x0):
-        plain = replace(part, own=part.own * noise[part.rows, None], shared=part.shared * noise[part.rows, None])
-        parts.append(taken_out(plain).rows)
-    assert bound.groups is not None
-    shared = bound.groups.shared
-    arm = np.isfinite(stds[shared]) & ~bound.datum[shared]
-    moved = triangle(parts, shared.size)[:, arm] * stds[shared][arm]
-    return _scatter(moved.T @ moved / len(noise), noise)
 
 
 def _scatter(powers: Array, noise: Array) -> PriorScatter:

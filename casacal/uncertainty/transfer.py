@@ -52,7 +52,7 @@ def leave_one_face_out(bound: BoundProblem, result: Result) -> tuple[LeftOut, ..
 
     """
     faces = bound.faces
-    if not 2 <= len(faces.names) <= MOST_FACES or bound.rows > MOST_ROWS or bound.groups is not None:
+    if not 2 <= len(faces.names) <= MOST_FACES or bound.rows > MOST_ROWS:
         return ()
     found = []
     for face, rows in faces.rows().items():
