@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from oracles import dh_chain, modified_dh_chain, rot_x, rot_z
+from scipy.spatial.transform import Rotation
 
 from casacal import ProblemFile, Robot, chain, deg, dh, modified_dh
 from casacal import kinematics as k
@@ -110,3 +111,15 @@ def test_the_same_residual_runs_on_floats(hsr: ProblemFile, corner_bound, corner
         row = SimpleNamespace(reading=float(samples.columns["reading"][i]))
         residual = dial.residual(robot.pose(p, [float(q) for q in samples.joints[i]]), p, row)
         assert float(residual) == pytest.approx(expected[i], abs=1e-9)
+
+
+def test_quaternions_and_turns_are_those_of_scipy_also_where_a_number_vanishes():
+    rng = np.random.default_rng(0)
+    halves = np.vstack([np.eye(4), -np.eye(4), [[0, -1, 1, 0], [0, 0, -1, 1], [0, 1, 0, -1], [1e-9, 1, 1, 1]]])
+    given = np.vstack([rng.normal(size=(200, 4)), halves])
+    turns = Rotation.from_quat(np.roll(given, -1, axis=1))
+    np.testing.assert_allclose(k.turns_of(given), turns.as_matrix(), atol=1e-14)
+    found = k.quaternions_of(turns.as_matrix())
+    np.testing.assert_allclose(found, np.roll(turns.as_quat(canonical=True), 1, axis=1), atol=1e-12)
+    assert (found[np.arange(len(found)), np.argmax(np.abs(found) > 1e-8, axis=1)] > 0).all()
+    assert k.quaternions_of(np.zeros((0, 3, 3))).shape == (0, 4)

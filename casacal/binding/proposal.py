@@ -12,7 +12,6 @@ from itertools import accumulate
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from casacal.array_types import Array, Index
 from casacal.binding.nominal import nominal_sight
@@ -53,6 +52,8 @@ class _Rows:
 
     def fitted(self, begin: Array, c: Array, pull: Array) -> Any:
         """Least squares from `begin` (u,), with a pull towards zero; None where something is not finite on the way."""
+        from scipy.optimize import least_squares  # takes its time, and few instruments have no formula of their own
+
         try:
             return least_squares(self._residual, begin, self._slopes, x_scale="jac", max_nfev=STEPS, args=(c, pull))
         except (ValueError, np.linalg.LinAlgError):

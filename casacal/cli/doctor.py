@@ -84,7 +84,8 @@ def _document(found: Diagnosis) -> dict[str, Any]:
 def _pose(option: str, text: str | None) -> NDArray[np.float64] | None:
     """A pose (4, 4; mm) from X,Y,Z or X,Y,Z,QW,QX,QY,QZ."""
     import numpy as np
-    from scipy.spatial.transform import Rotation
+
+    from casacal.kinematics import turns_of
 
     if text is None:
         return None
@@ -97,5 +98,5 @@ def _pose(option: str, text: str | None) -> NDArray[np.float64] | None:
     pose = np.eye(4)
     pose[:3, 3] = numbers[:3]
     if len(numbers) == 7:
-        pose[:3, :3] = Rotation.from_quat(np.roll(numbers[3:], -1)).as_matrix()
+        pose[:3, :3] = turns_of(numbers[None, 3:])[0]
     return pose

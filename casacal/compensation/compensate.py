@@ -22,6 +22,7 @@ from casacal.compensation.result_file import arm_from
 from casacal.compensation.targets import Compensation, Outcome, Rounding, Targets, rows_with, targets_from
 from casacal.compensation.told import Told
 from casacal.errors import CasacalError, UnknownNameError
+from casacal.kinematics import turns_of
 from casacal.robots.joint_space import joint_units
 
 LARGEST = math.radians(10)  # joint motion (rad, or its weight in mm) beyond which a correction is a jump
@@ -175,8 +176,6 @@ def _proof(
     denied: bool,
 ) -> tuple[Array, Array, Array]:
     """Miss (mm; rad) and standard deviation (mm) of the calibrated robot at joint values, by `predict` alone."""
-    from scipy.spatial.transform import Rotation
-
     place, turn, spread = (np.full(len(joints), np.nan) for _ in range(3))
     missed = arm.miss(joints, positions, rotations)[:2]
     sound = np.flatnonzero(np.isfinite(np.hstack(missed)).all(axis=1))
@@ -184,7 +183,7 @@ def _proof(
         samples = rows_with(targets, sound, joints[sound])
         # nothing is expected of a result that is not to be used
         prediction = predict(result, samples, frame=arm.frame, std=not denied, force=True)
-        turns = Rotation.from_quat(np.roll(prediction.quaternions, -1, axis=1)).as_matrix()
+        turns = turns_of(prediction.quaternions)
         place[sound] = np.linalg.norm(prediction.positions - positions[sound], axis=1)
         turn[sound] = np.linalg.norm(turning(turns @ rotations[sound].transpose(0, 2, 1)), axis=1)
         spread[sound] = np.nan if denied else prediction.std

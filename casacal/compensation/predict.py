@@ -16,7 +16,7 @@ from casacal.compensation.spread import RowZeros, position_stds
 from casacal.compensation.told import NOTHING, Told, whole_rows
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.files import MADE, write_text
-from casacal.kinematics import stacked_poses
+from casacal.kinematics import quaternions_of, stacked_poses, turns_of
 from casacal.problem.problem_file import ProblemFile
 from casacal.robots.joint_space import joint_values
 from casacal.samples.layout import Layout
@@ -50,10 +50,8 @@ class Prediction(Value):
     @property
     def poses(self) -> Array:
         """The same as transforms (N, 4, 4), mm."""
-        from scipy.spatial.transform import Rotation
-
         poses = np.tile(np.eye(4), (len(self.positions), 1, 1))
-        poses[:, :3, :3] = Rotation.from_quat(np.roll(self.quaternions, -1, axis=1)).as_matrix()
+        poses[:, :3, :3] = turns_of(self.quaternions)
         poses[:, :3, 3] = self.positions
         return poses
 
@@ -132,8 +130,6 @@ def predict(
     readings of a dial of which no row says when it was set to zero.
 
     """
-    from scipy.spatial.transform import Rotation
-
     result = arm_from(result)
     joints = joints_from(joints, result.source)
     if frame not in FRAMES:
@@ -159,13 +155,12 @@ def predict(
         unseen = tuple(dict.fromkeys(name.partition(".")[2] for name in zeros.names if name not in found))
         shifts = np.array([[found.get(name, 0.0)] for name in zeros.names])
         positions = positions + shifts * zeros.sign * model.batch.plunger(z, constants, data)[0]
-    xyzw = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
     spread = None
     if std:
         if nominal:
             raise CasacalError("The nominal arm has no standard deviation", "Leave out --nominal or --std")
         spread = position_stds(result, data[:, :known], frame, zeros, told)
-    return Prediction(positions, np.roll(xyzw, 1, axis=1), spread, unseen, told.missing, told.beyond, denial)
+    return Prediction(positions, quaternions_of(poses[:, :3, :3]), spread, unseen, told.missing, told.beyond, denial)
 
 
 def write_prediction(path: str | Path, prediction: Prediction) -> None:

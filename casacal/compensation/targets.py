@@ -16,6 +16,7 @@ from casacal.array_types import Array, Rows
 from casacal.compensation.inverse_kinematics import PosedArm
 from casacal.errors import CasacalError, SamplesError, came
 from casacal.instruments.description import Dimension
+from casacal.kinematics import turns_of
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
 from casacal.robots.joint_space import joint_values
@@ -132,8 +133,6 @@ def rows_with(targets: Targets, which: NDArray[np.intp], joints: Array) -> Sampl
 
 def _poses(table: Table, layout: Layout) -> tuple[Array, Array]:
     """Positions and rotations of a table's poses."""
-    from scipy.spatial.transform import Rotation
-
     found = match_columns(table.columns, layout)
     numbers = {name: np.array(table.numbers(column)) * factor for name, (column, factor) in found.items()}
     positions, wxyz = (np.column_stack([numbers[name] for name in part]) for part in (PLACE, QUATERNION))
@@ -141,7 +140,7 @@ def _poses(table: Table, layout: Layout) -> tuple[Array, Array]:
     for i in np.flatnonzero(np.abs(lengths - 1) > UNIT_LENGTH)[:1]:
         fix = "Give a unit quaternion qw,qx,qy,qz"
         raise SamplesError(table.file, f"the quaternion has the length {lengths[i]:.6g}", fix, line=table.lines[i])
-    return positions, Rotation.from_quat(np.roll(wxyz, -1, axis=1)).as_matrix()
+    return positions, turns_of(wxyz)
 
 
 class Outcome(Enum):

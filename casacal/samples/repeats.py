@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from casacal.array_types import Array, Index, Rows
 from casacal.instruments.description import Dimension
@@ -159,6 +158,8 @@ def _near_joints(layout: Layout) -> list[int]:
 
 def _near_any(known: Array, given: Array, near: Array) -> Rows:
     """Which of some rows (N, m) are near one of the known ones (M, m), in every number."""
+    from scipy.spatial import cKDTree  # takes its time, and few ask
+
     scale = near + 0.5  # half a step more is rounding
     distance, _ = cKDTree(known / scale).query(given / scale, p=np.inf, distance_upper_bound=1.0)
     return np.asarray(np.isfinite(distance))

@@ -8,9 +8,9 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from casacal.array_types import Array
+from casacal.kinematics import turns_of
 from casacal.unknowns.unknown import Unknown
 
 ON_A_LINE = 1e-9  # fraction of the largest extent below which points count as lying on a line
@@ -73,7 +73,7 @@ def hand_eye(turns: Array, places: Array, quaternions: Array, read: Array) -> tu
     apart = np.linalg.svd(np.einsum("kia,kjb->ijab", turns, turns).reshape(9, 9), compute_uv=False)
     if len(turns) < 3 or apart[0] - apart[1] < APART * apart[0]:  # of turns about one axis the largest two are alike
         return None
-    seen = Rotation.from_quat(np.roll(quaternions, -1, axis=1)).as_matrix()
+    seen = turns_of(quaternions)
     # S' M = T B for every row: vec(T B) = (1 x T) vec(B), vec(S' M) = (M' x 1) vec(S')
     cross = np.einsum("kia,kjb->ijab", seen, turns).reshape(9, 9)
     left, _, right = np.linalg.svd(cross)
