@@ -17,7 +17,7 @@ from casacal.kernels.native_rows import NativeKernels, NativeNormal, PackedPiece
 from casacal.least_squares.arrow import Arrow, Groups, grouped
 from casacal.least_squares.elimination import GroupRows
 from casacal.least_squares.losses import Loss
-from casacal.least_squares.objective import ExtendedPass, FilterPass, LeastSquares, Normal, Step
+from casacal.least_squares.objective import DampedStep, ExtendedPass, FilterPass, LeastSquares, Normal
 
 COMPACT = 50_000  # rows beyond which no whole Jacobian is held
 MOST_SUMS = 4_000_000  # numbers that the sums of all pieces may take: beyond, each piece sums what it sees alone
@@ -120,12 +120,12 @@ class EvaluatedRows(AllRows, LeastSquares):
             own, shared = np.vstack([part.own for part in parts]), np.vstack([part.shared for part in parts])
             yield GroupRows(rows, parts[0].members, parts[0].among, own, shared)
 
-    def damped_step(self, x: Array, normal: Normal, damping: float) -> Step | None:
+    def damped_step(self, x: Array, normal: Normal, damping: float) -> DampedStep | None:
         """A damped Gauss-Newton step; in C where rows are evaluated in C."""
         if self._native is None or isinstance(normal.information, Arrow):
             return super().damped_step(x, normal, damping)
         found = self._native.step(x, normal.gradient, normal.information, damping)
-        return None if found is None else Step(*found)
+        return None if found is None else DampedStep(*found)
 
     def costs(self, states: Array, loss: Loss | None = None) -> Array:
         """Objective at many states (m, n): (m,); with a loss where one is given."""
