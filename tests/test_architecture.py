@@ -133,6 +133,17 @@ def test_there_are_no_cycles():
         visit(name)
 
 
+def test_every_class_name_stands_once():
+    """One name, one meaning: also where an underscore says that a class is its file's own."""
+    found = {}
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                name, place = node.name.lstrip("_"), f"{name_of(path)}, line {node.lineno}"
+                assert name not in found, f"{name} is a class in {found[name]} and in {place}"
+                found[name] = place
+
+
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_files_and_functions_stay_small(path):
     text = path.read_text(encoding="utf-8")

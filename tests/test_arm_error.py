@@ -10,7 +10,7 @@ from conftest import ROOT
 from scipy.stats import binom, chi2
 
 from casacal import bind, load_problem, simulate
-from casacal.verification.arm_error import FEWEST, Seen, blocks
+from casacal.verification.arm_error import FEWEST, VisibleError, blocks
 from casacal.verification.decision import RISK, Scatter, decide
 
 # ------------------------------------------------------------------------------------------------ the rule itself
@@ -102,7 +102,7 @@ def test_acceptance_says_whether_it_rests_on_the_noise():
 
 
 def rows_of(slopes, own, residual, noise, *, parts=1, stated=None, guesses=()):
-    """Fresh rows as `Seen` takes them: plain arrays in place of a problem."""
+    """Fresh rows as `VisibleError` takes them: plain arrays in place of a problem."""
     count, known = len(residual), np.arange(slopes.shape[1] + own.shape[1]) < slopes.shape[1]
     prior = np.full(known.size, np.inf)
     prior[np.flatnonzero(~known)[: len(guesses)]] = guesses
@@ -124,14 +124,14 @@ def rows_of(slopes, own, residual, noise, *, parts=1, stated=None, guesses=()):
 def test_freedom_and_noise_against_dense_matrices():
     rng = np.random.default_rng(2)
     own, noise, stated = rng.normal(size=(20, 4)), rng.uniform(0.01, 0.03, 20), rng.uniform(0.005, 0.01, 20)
-    seen = Seen(rows_of(rng.normal(size=(20, 3)), own, np.zeros(20), noise, stated=stated), np.arange(20))
+    seen = VisibleError(rows_of(rng.normal(size=(20, 3)), own, np.zeros(20), noise, stated=stated), np.arange(20))
     weight = np.diag(noise**-2)
     left = np.eye(20) - own @ np.linalg.solve(own.T @ weight @ own, own.T @ weight)
     np.testing.assert_allclose(seen.given, np.diagonal(left @ left.T), rtol=1e-9)
     np.testing.assert_allclose(seen.noise, np.diagonal(left @ np.diag(stated**2) @ left.T), rtol=1e-9)
     np.testing.assert_allclose(seen.most, np.diagonal(left @ np.diag(noise**2) @ left.T), rtol=1e-9)
     # a guess beforehand is a reading: it takes part in the fit, errs as it says, and is not of the arm
-    guessed = Seen(rows_of(rng.normal(size=(20, 3)), own, np.zeros(20), noise, guesses=(0.02,)), np.arange(20))
+    guessed = VisibleError(rows_of(rng.normal(size=(20, 3)), own, np.zeros(20), noise, guesses=(0.02,)), np.arange(20))
     held = np.linalg.inv(own.T @ weight @ own + np.diag([0.02**-2, 0, 0, 0]))
     left = np.eye(20) - own @ held @ own.T @ weight
     by_guess = own @ held[:, 0] / 0.02**2 * 0.02
@@ -144,7 +144,7 @@ def test_without_some_rows_the_own_unknowns_are_fitted_to_the_others():
     own, noise, residual = rng.normal(size=(20, 3)), np.full(20, 0.01), rng.normal(size=20)
     residual = residual - own @ np.linalg.lstsq(own, residual, rcond=None)[0]
     kept = np.setdiff1d(np.arange(20), [3, 11])
-    seen = Seen(rows_of(rng.normal(size=(20, 3)), own, residual, noise), kept)
+    seen = VisibleError(rows_of(rng.normal(size=(20, 3)), own, residual, noise), kept)
     again = residual[kept] - own[kept] @ np.linalg.lstsq(own[kept], residual[kept], rcond=None)[0]
     np.testing.assert_allclose(seen.residual(np.zeros(6)), again, atol=1e-12)
 
@@ -159,7 +159,7 @@ def test_the_error_is_found_without_bias(parts):
         own = rng.normal(size=(count, 5))
         y = 0.03 * rng.normal(size=count) + noise * rng.normal(size=count)
         y = y - own @ np.linalg.lstsq(own, y, rcond=None)[0]
-        seen = Seen(rows_of(np.zeros((count, 1)), own, y, noise, parts=parts), np.arange(count))
+        seen = VisibleError(rows_of(np.zeros((count, 1)), own, y, noise, parts=parts), np.arange(count))
         scatter = seen.scatter(seen.residual(np.zeros(6)))
         found.append(scatter.square - scatter.noise)
         assert seen.given_rows() == pytest.approx(30 - 5 / parts)
@@ -170,9 +170,9 @@ def test_the_error_is_found_without_bias(parts):
 def test_touches_in_one_posture_are_one_of_its_kind():
     rng = np.random.default_rng(5)
     fresh = rows_of(np.zeros((30, 1)), np.zeros((30, 1)), rng.normal(size=30), np.full(30, 0.01))
-    alone = Seen(fresh, np.arange(30)).scatter(np.ones(30))
+    alone = VisibleError(fresh, np.arange(30)).scatter(np.ones(30))
     fresh.bound.repeats = SimpleNamespace(codes=np.repeat(np.arange(10), 3))
-    assert Seen(fresh, np.arange(30)).scatter(np.ones(30)).freedom == pytest.approx(alone.freedom / 3)
+    assert VisibleError(fresh, np.arange(30)).scatter(np.ones(30)).freedom == pytest.approx(alone.freedom / 3)
 
 
 @pytest.mark.parametrize("parts", [1, 3])
@@ -180,17 +180,17 @@ def test_few_rows_are_taken_together_with_what_is_usual(parts):
     """Squares that are all alike count as those of a normal distribution, and 20 rows as five of its variance."""
     count = 30 * parts
     fresh = rows_of(np.zeros((count, 1)), np.zeros((count, 1)), np.zeros(count), np.full(count, 0.01), parts=parts)
-    alike = Seen(fresh, np.arange(count)).scatter(np.ones(count))
+    alike = VisibleError(fresh, np.arange(count)).scatter(np.ones(count))
     assert alike.freedom == pytest.approx(2 * 30 / ((30 * 2 / parts + 20 * 5 / parts) / 50))
     uneven = np.where(np.arange(count) < 3 * parts, 10.0, 1e-6)  # a tenth of the rows is all there is: 9 over 1
-    assert Seen(fresh, np.arange(count)).scatter(uneven).freedom == pytest.approx(
+    assert VisibleError(fresh, np.arange(count)).scatter(uneven).freedom == pytest.approx(
         2 * 30 / ((30 * 9 + 20 * 5 / parts) / 50), rel=1e-3
     )
 
 
 def test_noise_that_was_found_lower_is_all_that_is_taken_off():
     fresh = rows_of(np.zeros((30, 1)), np.zeros((30, 1)), np.zeros(30), np.full(30, 0.02))
-    seen = Seen(fresh, np.arange(30), quieter=0.5)
+    seen = VisibleError(fresh, np.arange(30), quieter=0.5)
     assert seen.noises_mm() == pytest.approx((0.01, 0.02, 0.02))
     assert seen.scatter(np.full(30, 0.02)).measured_mm == pytest.approx(math.sqrt(3e-4))
 
@@ -244,7 +244,7 @@ def many_pairs(name, trials, seed, times=1.0):
         true = math.sqrt(((error - own @ (faces @ error)) ** 2).mean())
         y = error[fresh] + rng.normal(size=ROWS)
         y = y - own[fresh] @ np.linalg.lstsq(own[fresh], y, rcond=None)[0]
-        seen = Seen(rows_of(slopes[fresh], own[fresh], y, np.ones(ROWS)), np.arange(ROWS))
+        seen = VisibleError(rows_of(slopes[fresh], own[fresh], y, np.ones(ROWS)), np.arange(ROWS))
         yield true, seen.scatter(seen.residual(np.zeros(slopes.shape[1] + own.shape[1]))), seen.given_rows()
 
 

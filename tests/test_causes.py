@@ -9,7 +9,7 @@ import pytest
 from casacal import DialOnPlane, Problem, calibrate, check, deg, load_problem, simulate, tool_point
 from casacal.calibration.verdict import verdict_of
 from casacal.checks import causes
-from casacal.checks.causes import _looked_at_closely, _simplest, _Trial, explained
+from casacal.checks.causes import _Attempt, _looked_at_closely, _simplest, explained
 from casacal.checks.finding import Fault, Undone, misfit
 from casacal.checks.fitted_faults import tool_elsewhere
 from casacal.problem.cell import Cell, Face
@@ -149,7 +149,7 @@ def test_of_two_that_explain_alike_the_simpler_is_believed(scara):
     problem, samples = touched(scara)
     undone = Undone(problem, samples)
     found = [
-        _Trial((Fault("free", "", "", None, freedom),), undone, size)
+        _Attempt((Fault("free", "", "", None, freedom),), undone, size)
         for freedom, size in ((3, 1.0), (0, 1.3), (1, 1.1), (0, 9.0))
     ]
     assert _simplest(found).size == 1.3
@@ -161,7 +161,7 @@ def test_what_was_not_looked_at_closely_explains_nothing(scara, monkeypatch):
     """Joints that are shrunk bring all tips to one place, and any rows near any faces; a closer look sees that."""
     problem, samples = touched(scara)
     trials = [
-        _Trial((Fault(str(size), "", "", None),), Undone(problem, samples), size)
+        _Attempt((Fault(str(size), "", "", None),), Undone(problem, samples), size)
         for size in range(30, 30 + 2 * causes.PROMISING)
     ]
     monkeypatch.setattr(causes, "_to_the_end", lambda trial: REPLACE(trial, size=math.inf))

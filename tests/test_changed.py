@@ -25,7 +25,7 @@ from casacal import (
     tool_point,
 )
 from casacal.changes.causes import Cause
-from casacal.changes.explain import Explanation, Fitted, contenders, explanations
+from casacal.changes.explain import Explanation, FittedCause, contenders, explanations
 from casacal.changes.look import AllTests, Look, row_bases
 from casacal.changes.posterior import with_drift, with_memory
 from casacal.errors import SamplesError, UnknownNameError
@@ -443,7 +443,7 @@ def test_a_joint_far_beyond_what_is_usual_does_not_stand_alone(shift, left, name
     """Where its axis runs through the tip it could do what a knocked tool does, by a quarter of a radian."""
     joint = Cause("joint 6", "joint", np.array([5]), ("rad",), ("zero",), 5)
     tool = Cause("tool", "tool", np.arange(6, 9), ("mm",) * 3, ("x", "y", "z"))
-    fits = [Fitted(np.array(by), np.ones(len(by)), None, None) for by in ([shift], [0.5, 0.0, 0.0])]
+    fits = [FittedCause(np.array(by), np.ones(len(by)), None, None) for by in ([shift], [0.5, 0.0, 0.0])]
     found = [Explanation(cause, -1, 0.0, left, 0.0, fitted=fit) for cause, fit in zip((joint, tool), fits, strict=True)]
     found = [dataclasses.replace(found[0], share=1 - 1e-9), dataclasses.replace(found[1], share=1e-9)]
     assert [each.cause.name for each in contenders(found)] == named

@@ -35,7 +35,7 @@ from casacal.discrepancy import Backlash, Drift, GravitySag, TransmissionError, 
 from casacal.export.forms import export
 from casacal.study.benchmark import left
 from casacal.uncertainty.discrepancy import at_most, times_found, with_effects
-from casacal.uncertainty.effect_sizes import Told, evidence
+from casacal.uncertainty.effect_sizes import NormalEquations, evidence
 from casacal.uncertainty.noise import found_noise
 from casacal.uncertainty.transfer import FACES, REGIONS, gains, in_sample_gains, splits
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
@@ -74,7 +74,7 @@ def dense(slopes, heights, stds):
 def test_evidence_is_the_dense_density_but_for_a_constant():
     rng = np.random.default_rng(0)
     slopes, heights = rng.normal(size=(40, 6)), rng.normal(size=40)
-    told = Told.of(slopes, heights)
+    told = NormalEquations.of(slopes, heights)
     one, other = np.full(6, 0.7), np.array([0.7, 0.7, 0.1, 2.0, 0.7, 1e-4])
     ours = evidence(told, one**-2.0) - evidence(told, other**-2.0)
     assert ours == pytest.approx(dense(slopes, heights, one) - dense(slopes, heights, other), abs=1e-8)

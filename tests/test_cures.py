@@ -33,7 +33,7 @@ from casacal.calibration.result_json import calibration_document
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
 from casacal.planning.cures import NO_CURE, cures, extra_samples, outcomes
-from casacal.planning.extra_touches import Touches
+from casacal.planning.extra_touches import CalibratedCell
 from casacal.planning.set_ups import offers
 from casacal.samples.samples import joined
 from casacal.tables.columns import Labels
@@ -170,7 +170,7 @@ def test_figures_are_those_of_all_rows_bound_together(hsr, labels):
 def test_planned_touches_are_the_best_of_what_could_be_made(hsr, three_faces):
     """No random choice of as many is as good; all rows bound together."""
     bound = three_faces.fit
-    touches = Touches.of(bound, bound.x0)
+    touches = CalibratedCell.of(bound, bound.x0)
     pools = {offer.kind: touches.on(offer.cell) for offer in offers(bound, touches) if offer.kind in ("same", "step")}
     rng = np.random.default_rng(3)
     for outcome in outcomes(bound, bound.x0):
@@ -188,7 +188,7 @@ def test_planned_touches_are_the_best_of_what_could_be_made(hsr, three_faces):
 
 
 def test_extra_touches_lie_on_their_faces_at_the_estimate(hsr, three_faces):
-    touches = Touches.of(three_faces.fit, three_faces.x)
+    touches = CalibratedCell.of(three_faces.fit, three_faces.x)
     truth = hsr.cell.faces
     for face in touches.faces:
         (true,) = (each for each in truth if each.label == face.label)
@@ -228,7 +228,7 @@ def test_planes_that_are_declared_or_face_away_change_nothing(hsr):
         problem = Problem(hsr.problem.robot, dataclasses.replace(hsr.problem.instrument, plane=plane))
         bound = bind(problem, dataclasses.replace(samples, labels={}), backend="blocks")
         found.append(by_kind(cures(bound, lm(bound).x)))
-    (step,) = (each for each in offers(bound, Touches.of(bound, bound.x0)) if each.kind == "step")
+    (step,) = (each for each in offers(bound, CalibratedCell.of(bound, bound.x0)) if each.kind == "step")
     assert step.problem.instrument.steps["known step"].height == -100.0
     assert found[1] == pytest.approx(found[0], rel=0.15)  # sides are counted the other way round, and touched elsewhere
     held = Problem(hsr.problem.robot, dataclasses.replace(hsr.problem.instrument, plane=Plane(per="plane"))).fix(
@@ -398,7 +398,7 @@ def test_labels_of_other_things_stay_as_they_mostly_are(hsr):
     samples = dataclasses.replace(samples, labels={**samples.labels, "day": Labels.of(days)})
     whole = bind(problem, samples, backend="blocks")
     x = lm(whole).x
-    touches = Touches.of(whole, x)
+    touches = CalibratedCell.of(whole, x)
     assert set(touches.on(next(offers(whole, touches)).cell).labels["day"]) == {"day 7"}
     (step,) = (outcome for outcome in outcomes(whole, x) if outcome.kind == "step")
     together = bind(step.problem, joined(samples, step.rows), backend="blocks")

@@ -41,7 +41,7 @@ from casacal.estimators.ekf import linear_update
 from casacal.estimators.ipopt_objective import Objective
 from casacal.estimators.lm_decisions import Damping, Move, Point, Shortest, acceptable, given_up, next_move
 from casacal.estimators.sckf import Belief, cubature_update, predict
-from casacal.least_squares.objective import Normal, Step
+from casacal.least_squares.objective import DampedStep, Normal
 from casacal.least_squares.result import Status
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
@@ -325,7 +325,7 @@ def test_on_a_linear_problem_the_model_foretells_the_fall():
 
 
 def a_move(length, *, undamped=True, hidden=True, predicted=1e-20):
-    return Move(Step(np.zeros(1), length**2, predicted), undamped, hidden)
+    return Move(DampedStep(np.zeros(1), length**2, predicted), undamped, hidden)
 
 
 def test_when_lm_stops():

@@ -8,7 +8,7 @@ import pytest
 
 from casacal import DialOnPlane, Problem, SimulationError, Step, calibrate, check, load_problem, plan, simulate
 from casacal.calibration.verdict import verdict_of
-from casacal.checks.causes import _to_the_end, _Trial
+from casacal.checks.causes import _Attempt, _to_the_end
 from casacal.checks.finding import Fault, Undone, misfit
 from casacal.checks.labels import odd_labels
 from casacal.checks.rows import outside
@@ -188,8 +188,8 @@ def test_what_fits_any_joints_explains_nothing(scara):
     first, fault = samples.joints[:1], Fault("none", "", "", lambda *_: None)
     still = REPLACE(samples, joints=first + 1e-6 * (samples.joints - first), columns={"reading": np.ones(60)})
     assert misfit(problem, still) < 2
-    assert _to_the_end(_Trial((fault,), Undone(problem, still), 0.0)).size == math.inf
-    assert _to_the_end(_Trial((fault,), Undone(problem, samples), 0.0)).size < 2
+    assert _to_the_end(_Attempt((fault,), Undone(problem, still), 0.0)).size == math.inf
+    assert _to_the_end(_Attempt((fault,), Undone(problem, samples), 0.0)).size < 2
 
 
 @pytest.mark.parametrize(("one", "other", "alike"), [("1", "1.0", True), ("2,0", "2", True), ("1", "10", False)])

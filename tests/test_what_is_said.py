@@ -17,7 +17,7 @@ from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.fieldwork import approaches as ways_of
 from casacal.fieldwork.handouts import program_text
-from casacal.measuring.examine import Alarm, State, Suspected
+from casacal.measuring.examine import Alarm, SessionState, Suspected
 from casacal.planning.set_ups import SetUp
 from casacal.planning.written import told
 from casacal.samples.write import write_samples
@@ -51,7 +51,9 @@ def test_the_message_carries_a_verdict_that_denies(hsr, corner_simulation):
 def test_what_cannot_be_corrected_names_no_function(hsr, small):
     alarm = Alarm(0, 1.0, 0.1, (Suspected(0, None, 1.0),))
     session = replace(
-        Session(hsr.problem, small), state=State(alarm=alarm), touches=Session(hsr.problem, small)._all_planned[:1]
+        Session(hsr.problem, small),
+        state=SessionState(alarm=alarm),
+        touches=Session(hsr.problem, small)._all_planned[:1],
     )
     with pytest.raises(CasacalError, match="Take it back, or keep it") as refused:
         session.correct()

@@ -14,7 +14,7 @@ from casacal.binding.slots import Slot
 from casacal.kernels.filter_passes import FilterRows
 from casacal.kernels.native_rows import NativeKernels, NativeNormal, PackedPieces
 from casacal.least_squares.losses import Loss
-from casacal.least_squares.objective import ExtendedPass, FilterPass, LeastSquares, Normal, Step
+from casacal.least_squares.objective import DampedStep, ExtendedPass, FilterPass, LeastSquares, Normal
 
 COMPACT, HELD = 50_000, 10_000_000  # rows, and numbers of a whole Jacobian, beyond which none is held
 MOST_SUMS = 4_000_000  # numbers that the sums of all pieces may take: beyond, each piece sums what it sees alone
@@ -84,12 +84,12 @@ class EvaluatedRows(AllRows, LeastSquares):
             information[piece.columns[:, None], piece.columns] += s[:-1, :-1]
         return Normal(cost, gradient, information)
 
-    def damped_step(self, x: Array, normal: Normal, damping: float) -> Step | None:
+    def damped_step(self, x: Array, normal: Normal, damping: float) -> DampedStep | None:
         """A damped Gauss-Newton step; in C where rows are evaluated in C."""
         if self._native is None:
             return super().damped_step(x, normal, damping)
         found = self._native.step(x, normal.gradient, normal.information, damping)
-        return None if found is None else Step(*found)
+        return None if found is None else DampedStep(*found)
 
     def costs(self, states: Array, loss: Loss | None = None) -> Array:
         """Objective at many states (m, n): (m,); with a loss where one is given."""

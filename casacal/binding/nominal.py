@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.discrepancy.effect import Effect, Rows, Site, Survey
+from casacal.discrepancy.effect import Effect, Site, Survey, SurveyedRows
 from casacal.errors import ProblemError
 from casacal.instruments import Sight
 from casacal.kinematics import stacked_poses
@@ -32,7 +32,7 @@ def row_columns(
     site = Site(problem.robot, problem.instruments[i])
     if any(effect.columns(site) for effect in effects):
         assert survey is not None
-        rows = Rows(samples, nominal_tips(problem, i, samples, proposed), survey)
+        rows = SurveyedRows(samples, nominal_tips(problem, i, samples, proposed), survey)
         for effect in effects:
             columns |= effect.values(site, rows)
     return columns

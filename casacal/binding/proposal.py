@@ -42,7 +42,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class _Rows:
+class _SoughtRows:
     """Rows of an instrument on a robot as drawn, by local coordinates u of what is sought, about nominals c (N, nc)."""
 
     model: RowModel
@@ -94,7 +94,7 @@ def sought(problem: Problem, i: int, samples: Samples, places: Sequence[Place]) 
     for place in places:
         if place.nominal is not None and place.key in c_at:
             c[seen[place.name], c_at[place.key]] = place.nominal
-    rows = _Rows(model, data, {each.name: (seen[each.name], z_at[each.key], u_at[each.name]) for each in wanted})
+    rows = _SoughtRows(model, data, {each.name: (seen[each.name], z_at[each.key], u_at[each.name]) for each in wanted})
     starts = {place.name: (seen[place.name], c_at[place.key]) for place in wanted}
     found, nominals, c = _best_of_many(rows, wanted, sight.tips, c, starts)
     if found is None:
@@ -116,7 +116,7 @@ def sought(problem: Problem, i: int, samples: Samples, places: Sequence[Place]) 
 
 
 def _best_of_many(
-    rows: _Rows, wanted: Sequence[Place], tips: Array, c: Array, parts: Mapping[str, tuple[Index, Index]]
+    rows: _SoughtRows, wanted: Sequence[Place], tips: Array, c: Array, parts: Mapping[str, tuple[Index, Index]]
 ) -> tuple[Any, dict[str, Array], Array]:
     """The best fit from random places and directions, None where none is finite; nominals and c that it began from."""
     rng, best, kept, alike = np.random.default_rng(0), None, (dict[str, Array](), c), 0

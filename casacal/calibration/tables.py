@@ -21,7 +21,7 @@ LONGEST = 60  # characters of a face's name
 
 
 @dataclass(frozen=True)
-class Table:
+class PrintedTable:
     """Rows of text under titles; a title that begins with # heads a column of numbers."""
 
     columns: Sequence[str]
@@ -41,7 +41,7 @@ class Table:
         ).replace("–", "-")
 
 
-def residuals(calibration: Calibration) -> Table:
+def residuals(calibration: Calibration) -> PrintedTable:
     """RMSE, MAE, STD and MAX before and after, of fitted and held-out rows, of each of several instruments."""
     words, units = calibration.fit.problem.words, parts_of(calibration.fit)
     rows = []
@@ -54,10 +54,10 @@ def residuals(calibration: Calibration) -> Table:
                     figures = (fixed(found[key]) for key in ("rmse_mm", "mae_mm", "std_mm", "max_mm"))
                     rows.append([f"{label}, {of_rows}", *figures])
     figures_of = [f"#{figure}, {words.unit}" for figure in ("RMSE", "MAE", "STD", "MAX")]
-    return Table([capital(words.residual), *figures_of], rows)
+    return PrintedTable([capital(words.residual), *figures_of], rows)
 
 
-def left_out(calibration: Calibration) -> Table:
+def left_out(calibration: Calibration) -> PrintedTable:
     """Each face as the arm predicts it that the others give; no prediction where it is denied."""
     faces = calibration.left_out
     given = any(math.isfinite(face.predicted_mm) for face in faces)
@@ -73,10 +73,10 @@ def left_out(calibration: Calibration) -> Table:
         for face in faces
     ]
     group = capital(calibration.fit.problem.words.group)
-    return Table([group, "#Rows", "#Found, mm RMS", *predicted, "#p"], rows)
+    return PrintedTable([group, "#Rows", "#Found, mm RMS", *predicted, "#p"], rows)
 
 
-def parameters(calibration: Calibration) -> tuple[Table, list[str]]:
+def parameters(calibration: Calibration) -> tuple[PrintedTable, list[str]]:
     """Every free parameter, nominal and calibrated, angles in degrees; and the names of those that are held."""
     priors = dict(zip(calibration.fit.names, calibration.fit.prior_std.tolist(), strict=True))
     held, rows = [], []
@@ -92,26 +92,26 @@ def parameters(calibration: Calibration) -> tuple[Table, list[str]]:
         change = fixed(estimate - nominal, signed=True)
         rows.append([row["name"], unit, fixed(nominal), fixed(estimate), change, *spread, row["known_from"]])
     titles = ("Parameter", "Unit", "#Nominal", "#Calibrated", "#Change", "#Std. dev.", "#Of prior", "Known from")
-    return Table(titles, rows), held
+    return PrintedTable(titles, rows), held
 
 
-def correlations(calibration: Calibration) -> Table:
+def correlations(calibration: Calibration) -> PrintedTable:
     """Pairs of the arm's own unknowns: planes are always correlated with each other and with the base."""
     arm = np.flatnonzero(~calibration.seen.datum)
     names = [calibration.seen.names[j] for j in arm]
     pairs = correlated_pairs(calibration.covariance[np.ix_(arm, arm)], names)
     rows = [[one, two, fixed(value, 3, signed=True)] for one, two, value in pairs]
-    return Table(["Parameter", "With", "#Correlation"], rows)
+    return PrintedTable(["Parameter", "With", "#Correlation"], rows)
 
 
-def next_steps(calibration: Calibration) -> Table:
+def next_steps(calibration: Calibration) -> PrintedTable:
     """What to do next, best first, with the tip error to expect after it."""
     cures = [[cure.words, mm(cure.expected_rms_mm), "yes" if cure.recommended else "no"] for cure in calibration.cures]
     rows = [*cures, ["As it is", mm(calibration.tip_std[1]), "–"]] if cures else []
-    return Table(["Next step", "#Tip error, RMS", "Recommended"], rows)
+    return PrintedTable(["Next step", "#Tip error, RMS", "Recommended"], rows)
 
 
-def directions(calibration: Calibration) -> tuple[Table, list[str]]:
+def directions(calibration: Calibration) -> tuple[PrintedTable, list[str]]:
     """Null and weak directions with what lowers each, the costly ones first; and those that move no tip."""
     found = calibration.identifiability
     every: tuple[NullDirection | WeakDirection, ...] = (*found.null, *found.weak)
@@ -124,10 +124,10 @@ def directions(calibration: Calibration) -> tuple[Table, list[str]]:
             costly.append(
                 [each.words, kind, f"{each.tip_mm:.2g}" if math.isfinite(each.tip_mm) else "–", capital(advice)]
             )
-    return Table(["What changes unseen", "Kind", "#At the tip, mm", "Cure"], costly), harmless
+    return PrintedTable(["What changes unseen", "Kind", "#At the tip, mm", "Cure"], costly), harmless
 
 
-def effects(calibration: Calibration) -> Table:
+def effects(calibration: Calibration) -> PrintedTable:
     """A line for each effect beside the geometry, the likeliest first, and for errors of the dial that rows show."""
     corrected = set(calibration.corrected)
     rows = [
@@ -144,7 +144,7 @@ def effects(calibration: Calibration) -> Table:
     dial = [error for error in calibration.dial_errors if error.shown]
     rows = [[capital(error.words), "yes", "–", error.shown_size, "–", "no"] for error in dial] + rows
     titles = ("Effect", "Shown by the samples", "#Gain", "#Most likely size", "#Usual size", "Corrected")
-    return Table(titles, rows)
+    return PrintedTable(titles, rows)
 
 
 def corrected_words(calibration: Calibration) -> list[str]:

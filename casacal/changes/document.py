@@ -11,7 +11,7 @@ import numpy as np
 from casacal.calibration.result_parts import geometry, rows_of, seen_from
 from casacal.calibration.verdict import GAIN
 from casacal.changes.change import CHANGED, Change
-from casacal.changes.posterior import State
+from casacal.changes.posterior import UpdatedState
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.result_file import sealed
 from casacal.compensation.spread import position_stds
@@ -26,7 +26,9 @@ from casacal.wording import counted, sentence
 KEPT = ("schema", "problem", "arm", "seed", "backend", "noise", "versions")  # what an update leaves as it was
 
 
-def updated_document(given: Opened, fresh: Fresh, state: State, found: Change, folder: Path | None) -> dict[str, Any]:
+def updated_document(
+    given: Opened, fresh: Fresh, state: UpdatedState, found: Change, folder: Path | None
+) -> dict[str, Any]:
     """The whole of it, sealed; paths are relative to the folder that it will stand in, if any."""
     arm, x, bound, n = given.arm, state.x, fresh.bound, fresh.bound.unknowns
     old, place = arm.document, Path(arm.file).parent
@@ -78,7 +80,7 @@ def _geometry(old: Mapping[str, Any], new: dict[str, Any], moved: Mapping[str, f
     return found
 
 
-def _discrepancy(given: Opened, fresh: Fresh, state: State) -> Any:
+def _discrepancy(given: Opened, fresh: Fresh, state: UpdatedState) -> Any:
     """Effects beside the geometry: corrected ones as the rows put them, others as they were, with what is known."""
     said = given.arm.document.get("discrepancy")
     if not said:

@@ -46,7 +46,7 @@ NAMED = 0.02  # part of the evidence below which a cause is none of those that r
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class FittedCause:
     """A cause at its best: its unknowns (k,) with standard deviations, everything, and the ways (n, v) to that."""
 
     shift: Array
@@ -69,7 +69,7 @@ class Explanation:
     left: float
     evidence: float
     share: float = 0.0
-    fitted: Fitted | None = None
+    fitted: FittedCause | None = None
 
     @property
     def far(self) -> bool:
@@ -106,7 +106,7 @@ def explanations(look: Look, *, linear: bool = False) -> list[Explanation]:
         std = np.sqrt(np.maximum(np.diagonal(used @ covariance @ used.T), 0.0))
         left, evidence = _judged(look, posterior.chi_square, n, cost)
         p = chance(max(nothing - posterior.chi_square, 0.0), n, tests.noise)
-        fitted = Fitted(used @ posterior.v[-n:], std, posterior, wider.ways)
+        fitted = FittedCause(used @ posterior.v[-n:], std, posterior, wider.ways)
         found.append(Explanation(cause, -1, p, left, evidence, fitted=fitted))
     per_row = tests.rows.shape[2]
     for k in np.flatnonzero(tests.row_freedoms > 0).tolist():
@@ -184,7 +184,7 @@ def telling(
     return replace(best, lines=tuple(range(1, len(chosen) + 1)), file="planned touches"), odds
 
 
-def _expected(fitted: Fitted, there: BoundProblem) -> _Expected:
+def _expected(fitted: FittedCause, there: BoundProblem) -> _Expected:
     """Of an explanation: where it puts the arm, and what it leaves open."""
     posterior, count = fitted.posterior, len(there.block.samples)
     half = np.linalg.cholesky(posterior.covariance + 1e-18 * np.eye(len(posterior.covariance)))

@@ -177,7 +177,7 @@ class Prior:
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class UpdatedState:
     """Unknowns of the rows (n,), then those (o,) that only the result knows, by name.
 
     x (n,): where the rows put theirs. moved: by how much each of the others moved with them. covariance: of all
@@ -190,7 +190,9 @@ class State:
     chi_square: float
 
 
-def updated_state(arm: CalibratedArm, fresh: Fresh, free: Sequence[Array], dropped: Callable[[str], bool]) -> State:
+def updated_state(
+    arm: CalibratedArm, fresh: Fresh, free: Sequence[Array], dropped: Callable[[str], bool]
+) -> UpdatedState:
     """The posterior of everything: the result's own as the prior, with directions (n,) that are free.
 
     dropped: names of what the result knows and nobody does any more. Raises CasacalError where the result leaves
@@ -218,4 +220,4 @@ def updated_state(arm: CalibratedArm, fresh: Fresh, free: Sequence[Array], dropp
     found = prior.given(bound)
     covariance = prior.ways @ found.covariance @ prior.ways.T
     moved = dict(zip((names[i] for i in places), (prior.ways[n:] @ found.v).tolist(), strict=True))
-    return State(found.x, moved, (covariance + covariance.T) / 2, found.chi_square)
+    return UpdatedState(found.x, moved, (covariance + covariance.T) / 2, found.chi_square)

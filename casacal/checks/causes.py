@@ -29,7 +29,7 @@ RIVALS = 3  # faults that would explain it equally well and are named
 
 
 @dataclass(frozen=True)
-class Cause:
+class MisfitCause:
     """What explains a misfit, as a finding, and problem and samples without it."""
 
     finding: Finding
@@ -37,7 +37,7 @@ class Cause:
 
 
 @dataclass(frozen=True)
-class _Trial:
+class _Attempt:
     """Faults that were undone one after the other, and what came of it."""
 
     faults: tuple[Fault, ...]
@@ -49,13 +49,13 @@ class _Trial:
         return sum(fault.freedom for fault in self.faults)
 
 
-def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = True) -> Cause | None:
+def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = True) -> MisfitCause | None:
     """The simplest that makes a misfit vanish: one suspected fault, else two together; None where none does.
 
     problem: with one instrument. samples: its rows, some hundred. base: their misfit as they are. gross: whether it is
     so large that two mistakes at once are looked for.
     """
-    nothing = _Trial((), Undone(problem, samples), 0.0)
+    nothing = _Attempt((), Undone(problem, samples), 0.0)
     tried = _looked_at_closely([each for fault in suspected(problem, samples) for each in _one(fault, nothing)])
     best = _simplest(tried)
     if best is None:
@@ -74,23 +74,23 @@ def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = 
     )
 
 
-def _one(fault: Fault, before: _Trial) -> Iterator[_Trial]:
+def _one(fault: Fault, before: _Attempt) -> Iterator[_Attempt]:
     """What is left with a fault undone on top of others; nothing where it cannot be."""
     try:
         undone = fault.undo(before.undone.problem, before.undone.samples)
     except CasacalError:  # such as a tool of an instrument that holds it
         return
     undone = replace(undone, found=before.undone.found + undone.found)
-    yield _Trial((*before.faults, fault), undone, _left(undone, FIRST_STEPS))
+    yield _Attempt((*before.faults, fault), undone, _left(undone, FIRST_STEPS))
 
 
-def _looked_at_closely(tried: list[_Trial]) -> list[_Trial]:
+def _looked_at_closely(tried: list[_Attempt]) -> list[_Attempt]:
     """The same trials, the most promising of them fitted to the end; no other explains anything."""
     closer = {id(trial) for trial in sorted(tried, key=lambda trial: trial.size)[:PROMISING]}
     return [_to_the_end(trial) if id(trial) in closer else replace(trial, size=math.inf) for trial in tried]
 
 
-def _to_the_end(trial: _Trial) -> _Trial:
+def _to_the_end(trial: _Attempt) -> _Attempt:
     """The same trial with its final misfit: infinite where joints mixed up among the rows would fit about as well."""
     size = _left(trial.undone, STEPS)
     if size > EXPLAINED:
@@ -106,12 +106,12 @@ def _left(undone: Undone, steps: int) -> float:
     return misfit(undone.problem, undone.samples, steps=steps, start=undone.start)
 
 
-def _pairs(tried: list[_Trial], problem: Problem) -> list[_Trial]:
+def _pairs(tried: list[_Attempt], problem: Problem) -> list[_Attempt]:
     """Wrong units and signs of the dial, and what promises most, each with what is commonly done wrong beside it."""
     usual = {"unit of the joints", *(suspect.about for suspect in problem.instrument.suspects)}
     best = sorted(tried, key=lambda trial: trial.size)
     first = [trial for k, trial in enumerate(best) if k < PAIRED or trial.faults[0].about in usual]
-    found: list[_Trial] = []
+    found: list[_Attempt] = []
     for trial in first:
         for fault in suspected(trial.undone.problem, trial.undone.samples):
             if fault.about != trial.faults[0].about and fault.common:
@@ -119,7 +119,7 @@ def _pairs(tried: list[_Trial], problem: Problem) -> list[_Trial]:
     return _looked_at_closely(found)
 
 
-def _simplest(tried: list[_Trial]) -> _Trial | None:
+def _simplest(tried: list[_Attempt]) -> _Attempt | None:
     """Of those that explain about as well as the best, the one of least freedom, then the first."""
     least = min((trial.size for trial in tried), default=math.inf)
     if least == math.inf:
@@ -127,7 +127,7 @@ def _simplest(tried: list[_Trial]) -> _Trial | None:
     return min((trial for trial in tried if trial.size <= ALIKE * least), key=lambda trial: trial.freedom)
 
 
-def _told(best: _Trial, base: float, tried: list[_Trial], alike: list[str]) -> Cause:
+def _told(best: _Attempt, base: float, tried: list[_Attempt], alike: list[str]) -> MisfitCause:
     """The cause in words; `alike`: what rows cannot tell from it, beside what was tried."""
     names = " and ".join(fault.about for fault in best.faults)
     others = [" and ".join(fault.about for fault in trial.faults) for trial in tried if trial.size <= ALIKE * best.size]
@@ -141,4 +141,4 @@ def _told(best: _Trial, base: float, tried: list[_Trial], alike: list[str]) -> C
         f"stated noise{also}"
     )
     fix = ". ".join(fault.fix for fault in best.faults) + ("" if rivals else best.undone.offer)
-    return Cause(Finding("error", names, cause, fix), best.undone)
+    return MisfitCause(Finding("error", names, cause, fix), best.undone)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from casacal.binding.all_rows import each_alone
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.checks.beside_geometry import beside_geometry
-from casacal.checks.causes import ALIKE, EXPLAINED, SUSPICIOUS, Cause, explained
+from casacal.checks.causes import ALIKE, EXPLAINED, SUSPICIOUS, MisfitCause, explained
 from casacal.checks.faults import flips
 from casacal.checks.finding import Finding, misfit, quick_fit
 from casacal.checks.fitted_faults import tool_elsewhere_at, tool_keys
@@ -101,7 +101,7 @@ def labels_alike(problem: Problem, measured: Measurements) -> tuple[Finding, ...
     return tuple(finding for finding in found if finding.about == LABELS_ALIKE)
 
 
-def _with_cause(findings: list[Finding], cause: Cause, bound: BoundProblem, few: Samples) -> list[Finding]:
+def _with_cause(findings: list[Finding], cause: MisfitCause, bound: BoundProblem, few: Samples) -> list[Finding]:
     """A cause, with what readings say of the sign before any fit, and what is wrong with the rows apart from it."""
     undone = cause.undone
     told = {finding.about for finding in outside(undone.problem, undone.samples)}

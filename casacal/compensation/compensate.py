@@ -20,7 +20,7 @@ from casacal.compensation.inverse_kinematics import PosedArm, postures, turning
 from casacal.compensation.predict import predict
 from casacal.compensation.result_file import arm_from
 from casacal.compensation.targets import Compensation, Outcome, Rounding, Targets, rows_with, targets_from
-from casacal.compensation.told import Told
+from casacal.compensation.told import TellingColumns
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.kinematics import turns_of
 from casacal.robots.joint_space import joint_units
@@ -71,12 +71,12 @@ def compensate(
         raise UnknownNameError("frame", str(frame), FRAMES)
     if not isinstance(largest, (int, float)) or not largest > 0:
         raise CasacalError(f"The largest motion of a joint is {largest!r}", "Give a positive number of rad")
-    rounding = rounding or Rounding()
-    drawn = result.source.problem.without_effects
+    rounding, drawn = rounding or Rounding(), result.source.problem.without_effects
     nominal = PosedArm.of(drawn, local_coordinates(result, nominal=True), frame, row_constants(result, drawn))
     result.check_usable(force=force)
     _trusted(result, frame)
-    told = Told.by(result, rows_with(targets, np.arange(len(targets)), np.zeros((len(targets), len(drawn.robot.axes)))))
+    still = np.zeros((len(targets), len(drawn.robot.axes)))
+    told = TellingColumns.by(result, rows_with(targets, np.arange(len(targets)), still))
     used, local = result.used, local_coordinates(result, of=result.used)
     arm = replace(nominal, local=local)
     if used.effects:

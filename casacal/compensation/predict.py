@@ -13,7 +13,7 @@ from casacal.array_types import Array
 from casacal.compensation.arm import FRAMES, CalibratedArm, local_coordinates, row_constants
 from casacal.compensation.result_file import arm_from
 from casacal.compensation.spread import RowZeros, position_stds
-from casacal.compensation.told import NOTHING, Told, whole_rows
+from casacal.compensation.told import NOTHING, TellingColumns, whole_rows
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.files import MADE, write_text
 from casacal.kinematics import quaternions_of, stacked_poses, turns_of
@@ -136,7 +136,7 @@ def predict(
         raise UnknownNameError("frame", str(frame), FRAMES)
     denial = None if nominal else result.denial
     result.check_usable(force=force or nominal)
-    told = NOTHING if nominal else Told.by(result, joints)
+    told = NOTHING if nominal else TellingColumns.by(result, joints)
     problem = result.source.problem.without_effects if nominal else result.used
     model, instrument = problem.model, problem.instrument
     z = local_coordinates(result, nominal=nominal, of=problem)

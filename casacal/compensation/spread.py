@@ -9,7 +9,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm, all_motion, local_coordinates, row_constants, with_effects
-from casacal.compensation.told import NOTHING, NOTHING_TOLD, Told, whole_rows
+from casacal.compensation.told import NOTHING, NOTHING_TOLD, TellingColumns, whole_rows
 from casacal.discrepancy.effect import Site
 from casacal.errors import CasacalError
 from casacal.instruments import Instrument
@@ -103,7 +103,7 @@ def position_stds(
     data: Array,
     frame: str,
     zeros: RowZeros | None,
-    told: Told = NOTHING,
+    told: TellingColumns = NOTHING,
 ) -> Array:
     """Standard deviation (N,) of the position, mm, all axes together, apart from the position of the base.
 

@@ -22,7 +22,7 @@ MOST_SPANS, FAR_SPANS = 10.0, 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class TellingColumns:
     """What rows tell of the effects that are corrected by columns.
 
     columns: by name in the row model, each (N,); their means in the fitted rows where these rows lack them.
@@ -36,7 +36,7 @@ class Told:
     deviations: Mapping[str, float] = field(default_factory=dict)
 
     @staticmethod
-    def by(arm: CalibratedArm, rows: Samples) -> Told:
+    def by(arm: CalibratedArm, rows: Samples) -> TellingColumns:
         """What rows tell of an arm; raises SamplesError where a column that tells an effect holds what it may not."""
         further = arm.found.effects.further
         if not further:
@@ -56,10 +56,10 @@ class Told:
             else:
                 columns |= effect.told(site, rows)
                 beyond += _beyond(rows, effect.amounts(site, rows), said.ranges)
-        return Told(columns, FrozenMapping(lacking), tuple(beyond), FrozenMapping(away))
+        return TellingColumns(columns, FrozenMapping(lacking), tuple(beyond), FrozenMapping(away))
 
 
-NOTHING = Told(NOTHING_TOLD)
+NOTHING = TellingColumns(NOTHING_TOLD)
 """Of an arm that no column tells anything."""
 
 

@@ -86,8 +86,8 @@ FEWEST = 3  # touches that say where a face lies
 
 
 @dataclass(frozen=True)
-class Rows:
-    """Rows of an instrument, as effects see them before anything is fitted."""
+class SurveyedRows:
+    """Rows of an instrument with nominal tips and a survey, as effects see them before anything is fitted."""
 
     samples: Samples
     tips: Array
@@ -171,7 +171,7 @@ class Effect(Portable, ABC):
         del site
         return ()
 
-    def values(self, site: Site, rows: Rows) -> Mapping[str, Array]:
+    def values(self, site: Site, rows: SurveyedRows) -> Mapping[str, Array]:
         """Those columns (N,) of some rows."""
         return self.told(site, rows.samples)
 

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.discrepancy.effect import Effect, Here, Rows, Site, weighted
+from casacal.discrepancy.effect import Effect, Here, Site, SurveyedRows, weighted
 from casacal.discrepancy.further import ByColumns, read_columns_of, refuse_unless
 from casacal.kinematics import Expression
 from casacal.robots.robot import Robot
@@ -143,7 +143,7 @@ class Backlash(ByColumns):
         del site, samples
         return {}
 
-    def values(self, site: Site, rows: Rows) -> Mapping[str, Array]:
+    def values(self, site: Site, rows: SurveyedRows) -> Mapping[str, Array]:
         """Signs of the steps from row to row, none known of the first; or what the samples say."""
         if self.columns_of:
             return self.told(site, rows.samples)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from casacal.array_types import Array
-from casacal.discrepancy.effect import Effect, Here, Rows, Site, weighted
+from casacal.discrepancy.effect import Effect, Here, Site, SurveyedRows, weighted
 from casacal.kinematics import Expression
 from casacal.samples.samples import Samples
 from casacal.unknowns import Parameter
@@ -26,7 +26,7 @@ class OverTime(Effect, ABC):
         del site
         return ("when",)
 
-    def values(self, site: Site, rows: Rows) -> Mapping[str, Array]:
+    def values(self, site: Site, rows: SurveyedRows) -> Mapping[str, Array]:
         """By the number of its line."""
         del site
         return {"when": rows.survey.when(rows.samples)}
@@ -86,7 +86,7 @@ class FaceForm(Effect):
         del site
         return ("along", "across")
 
-    def values(self, site: Site, rows: Rows) -> Mapping[str, Array]:
+    def values(self, site: Site, rows: SurveyedRows) -> Mapping[str, Array]:
         """By the nominal tips; the middle of a face that was not fitted."""
         probe = site.instrument.probe
         places = rows.survey.places(rows.samples, rows.tips, None if probe is None else probe.label)
@@ -168,7 +168,7 @@ class JointField(Effect):
         """How alike a row is to each of them."""
         return tuple(f"{self.key}_like{k + 1}" for k in range(self._pivots(site)))
 
-    def values(self, site: Site, rows: Rows) -> Mapping[str, Array]:
+    def values(self, site: Site, rows: SurveyedRows) -> Mapping[str, Array]:
         """By their joint values and those of the fitted rows."""
         rank = self._pivots(site)
         pivots = _pivots(self._places(site, rows.survey.samples), rank)

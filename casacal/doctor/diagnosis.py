@@ -13,7 +13,7 @@ from casacal.doctor.family import Family
 from casacal.doctor.pendant_rows import ANGLES, LENGTHS, PendantRows, angle_between, rotations_of
 from casacal.doctor.same_arm import MOST_MEANINGS, FurtherPose, Meaning, changes, conventions_of, distinct, further_pose
 from casacal.doctor.search import Halves, poses_of
-from casacal.doctor.slips import Slip, slips_in
+from casacal.doctor.slips import PendantSlip, slips_in
 from casacal.errors import CasacalError
 from casacal.robots.dh_table import DHTable
 from casacal.robots.joint_space import AXIS_WEIGHT, random_joints
@@ -58,7 +58,7 @@ class Diagnosis:
     further: FurtherPose | None
     nearest: Miss | None
     odd_lines: tuple[int, ...] = ()
-    slips: tuple[Slip, ...] = ()
+    slips: tuple[PendantSlip, ...] = ()
     convention: str = ""
 
     @property
@@ -73,7 +73,7 @@ class Diagnosis:
 
 
 @dataclass(frozen=True)
-class _Known:
+class _ArmAsDrawn:
     """The arm between base and tool, and the distance (mm) from the base that rules out a unit of length."""
 
     axes: Axes
@@ -134,19 +134,19 @@ def diagnose(
     return Diagnosis(rows, tolerance, (), False, 0, None, _nearest(known, rows), odd, slips, convention)
 
 
-def _known_arm(robot: Robot, base: Array | None, tool: Array | None) -> _Known:
+def _known_arm(robot: Robot, base: Array | None, tool: Array | None) -> _ArmAsDrawn:
     axes = axes_of(robot)
     if tool is not None:
         axes = replace(axes, turn=axes.turn @ tool[:3, :3], place=axes.turn @ tool[:3, 3] + axes.place)
     places = axes.poses(random_joints(robot, 500, np.random.default_rng(0)))[1]
     far = REACH * float(np.linalg.norm(places, axis=1).max())
-    return _Known(axes, Halves.of(axes), np.eye(4) if base is None else base, far)
+    return _ArmAsDrawn(axes, Halves.of(axes), np.eye(4) if base is None else base, far)
 
 
-def _odd(known: _Known, rows: PendantRows, tolerance: float) -> tuple[tuple[int, ...], tuple[Slip, ...]]:
+def _odd(known: _ArmAsDrawn, rows: PendantRows, tolerance: float) -> tuple[tuple[int, ...], tuple[PendantSlip, ...]]:
     """Lines without which the others fit, and the single numbers in them that could be to blame."""
     lines: list[int] = []
-    slips: list[Slip] = []
+    slips: list[PendantSlip] = []
     looked_at = True
     for i in range(len(rows)):
         meanings, more = _meanings(known, rows.without(i), tolerance)
@@ -160,7 +160,7 @@ def _odd(known: _Known, rows: PendantRows, tolerance: float) -> tuple[tuple[int,
     return tuple(lines), tuple(sorted(slips, key=lambda slip: slip.miss)) if looked_at else ()
 
 
-def _meanings(known: _Known, rows: PendantRows, tolerance: float) -> tuple[tuple[Meaning, ...], bool]:
+def _meanings(known: _ArmAsDrawn, rows: PendantRows, tolerance: float) -> tuple[tuple[Meaning, ...], bool]:
     """All meanings that fit the rows, the simplest first, and whether more would."""
     meanings: list[Meaning] = []
     more = False
@@ -192,7 +192,7 @@ def _meanings(known: _Known, rows: PendantRows, tolerance: float) -> tuple[tuple
     return tuple(meanings), more
 
 
-def _guesses(known: _Known, rows: PendantRows) -> Iterator[tuple[str, str, Array, Array]]:
+def _guesses(known: _ArmAsDrawn, rows: PendantRows) -> Iterator[tuple[str, str, Array, Array]]:
     """Units that the rows may be in, with joint values in rad and mm and positions in mm in the robot's base frame."""
     turns = np.array(known.axes.turns)
     for length_unit, length in LENGTHS.items():
@@ -205,7 +205,7 @@ def _guesses(known: _Known, rows: PendantRows) -> Iterator[tuple[str, str, Array
             yield joint_unit, length_unit, rows.joints * np.where(turns, angle, length), positions
 
 
-def _nearest(known: _Known, rows: PendantRows) -> Miss | None:
+def _nearest(known: _ArmAsDrawn, rows: PendantRows) -> Miss | None:
     """How near the best reading comes; None when the positions are out of the arm's reach in any unit."""
     best: Miss | None = None
     for _, _, q, positions in _guesses(known, rows):

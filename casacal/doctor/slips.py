@@ -21,7 +21,7 @@ ROUNDING = 0.1  # part of the tolerance that a row may always miss by: numbers a
 
 
 @dataclass(frozen=True)
-class Slip:
+class PendantSlip:
     """A number that does not fit, and the one in its place with which its row would.
 
     line: of the file (counted from 1, or the row where there is no file). column: its name. shown, fitting: in the unit
@@ -37,13 +37,13 @@ class Slip:
 
 def slips_in(
     axes: Axes, base: Array, rows: PendantRows, row: int, meanings: Iterable[Meaning], tolerance: float
-) -> tuple[Slip, ...]:
+) -> tuple[PendantSlip, ...]:
     """Every single number of a row that could be the one copied wrongly, if the others mean what all other rows mean.
 
     meanings: of the other rows. A number counts when, changed, its row fits as well as the others do, within
     `tolerance` mm and mrad. Of several meanings each number keeps the value with which its row fits best.
     """
-    found: dict[str, Slip] = {}
+    found: dict[str, PendantSlip] = {}
     shown = rows.numbers
     for meaning in meanings:
         for name in meaning.rotations:
@@ -56,7 +56,7 @@ def slips_in(
                     if k < rows.joints.shape[1] and axes.turns[k]:  # within half a turn of zero
                         turn = 2 * np.pi / ANGLES[meaning.joint_unit]
                         value -= turn * round(value / turn)
-                    found[column] = Slip(rows.line(row), column, float(shown[row, k]), value, size)
+                    found[column] = PendantSlip(rows.line(row), column, float(shown[row, k]), value, size)
     return tuple(sorted(found.values(), key=lambda slip: slip.miss))
 
 

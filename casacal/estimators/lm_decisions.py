@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from casacal.array_types import Array
 from casacal.least_squares.losses import Loss
-from casacal.least_squares.objective import LeastSquares, Normal, Step
+from casacal.least_squares.objective import DampedStep, LeastSquares, Normal
 from casacal.least_squares.result import Status
 
 FASTEST_DECREASE = 1 / 3
@@ -78,7 +78,7 @@ class Move(NamedTuple):
     Its length is in posterior standard deviations, sqrt(step' H step); a hidden step is judged by that alone.
     """
 
-    step: Step
+    step: DampedStep
     undamped: bool
     hidden: bool
 
@@ -113,7 +113,7 @@ class Shortest(NamedTuple):
         return self.at if self.since >= PATIENCE else None
 
 
-def gain_ratio(here: Point, there: Point, step: Step) -> float:
+def gain_ratio(here: Point, there: Point, step: DampedStep) -> float:
     """The fall of f over the fall that its quadratic model foretold (Nielsen 1999); -inf where either is no number."""
     if not (there.usable and step.predicted > 0):
         return -math.inf
@@ -154,11 +154,11 @@ def _undamped(problem: LeastSquares, here: Point, loss: Loss | None) -> Move | N
     return None if step is None or step.squared_length > SHORT**2 else Move(step, True, _hidden(step, here))
 
 
-def _hidden(step: Step, here: Point) -> bool:
+def _hidden(step: DampedStep, here: Point) -> bool:
     return step.predicted <= UNSEEN * (1 + here.cost)
 
 
-def _step(problem: LeastSquares, here: Point, damping: float, loss: Loss | None) -> Step | None:
+def _step(problem: LeastSquares, here: Point, damping: float, loss: Loss | None) -> DampedStep | None:
     """A damped step from normal equations where these are safe, else from singular values; None unless it is finite."""
     step = problem.damped_step(here.x, here.normal, damping)
     if step is None:

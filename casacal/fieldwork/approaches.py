@@ -18,7 +18,7 @@ from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import inside_limits
 from casacal.robots.links import above_table
-from casacal.simulation.reach import Touch
+from casacal.simulation.reach import TouchingArm
 from casacal.values import Value
 
 RETREAT = 20.0  # how far the tip stands back before and after a touch, mm
@@ -121,7 +121,7 @@ def _raised(clear: Clear, levels: list[Array], chosen: NDArray[np.intp], k: int)
 
 
 def _is_clear(
-    arm: Touch,
+    arm: TouchingArm,
     cell: Cell,
     clearance: Clearance | None,
     stands: Callable[[Array, Array], Rows],
@@ -143,7 +143,7 @@ def _is_clear(
     return clearance is None or bool(clearance.clear(arm.robot, None, joints, tips).all())
 
 
-def _above(arm: Touch, joints: Array, readings: Array, tips: Array, axes: Array, retreat: float) -> Array:
+def _above(arm: TouchingArm, joints: Array, readings: Array, tips: Array, axes: Array, retreat: float) -> Array:
     """Joint values (N, n) with the tip drawn back along the plunger; NaN where limits or reach forbid it."""
     targets = tips - retreat * axes
     found = arm.reach(targets, axes, readings, joints)

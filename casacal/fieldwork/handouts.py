@@ -29,7 +29,7 @@ from casacal.wording import sentence
 
 
 @dataclass(frozen=True)
-class Program:
+class RobotProgram:
     """A program in a controller's language: decimals of joint values, and lines around and of its moves and waits."""
 
     language: Language
@@ -43,9 +43,9 @@ class Program:
 
 
 LONGEST_LABEL = 40  # letters of a label that fit on a pendant: RAPID holds 80 in a string
-PROGRAMS: Mapping[str, Program] = FrozenMapping(
+PROGRAMS: Mapping[str, RobotProgram] = FrozenMapping(
     {
-        "rapid": Program(
+        "rapid": RobotProgram(
             RAPID,
             ".mod",
             4,
@@ -55,7 +55,7 @@ PROGRAMS: Mapping[str, Program] = FrozenMapping(
             ('    TPWrite "{}";', "    Stop;"),
             ("  ENDPROC", "ENDMODULE"),
         ),
-        "krl": Program(
+        "krl": RobotProgram(
             KRL,
             ".src",
             4,
@@ -65,7 +65,7 @@ PROGRAMS: Mapping[str, Program] = FrozenMapping(
             ("  ; {}", "  HALT"),
             ("END",),
         ),
-        "urscript": Program(
+        "urscript": RobotProgram(
             URSCRIPT,
             ".script",
             7,

@@ -86,7 +86,7 @@ def _aligned(rows: int, columns: int) -> Array:
     return raw[skipped : skipped + rows * columns].reshape(rows, columns)
 
 
-class _Piece(ctypes.Structure):
+class _PackedPiece(ctypes.Structure):
     """`piece` of c/piece.h."""
 
     _fields_ = (
@@ -102,13 +102,13 @@ class PackedPieces:
     def __init__(self, pieces: Sequence[Piece]) -> None:
         self.pieces = tuple(pieces)
         self._kept: list[object] = []
-        self._structs = (_Piece * len(pieces))(*(self._packed(piece) for piece in pieces))
+        self._structs = (_PackedPiece * len(pieces))(*(self._packed(piece) for piece in pieces))
 
     def address(self, k: int) -> int:
         """Where piece k stands, and those after it."""
         return ctypes.addressof(self._structs[k])
 
-    def _packed(self, piece: Piece) -> _Piece:
+    def _packed(self, piece: Piece) -> _PackedPiece:
         columns = np.ascontiguousarray(piece.columns, dtype=ctypes.c_long)
         constants = np.ascontiguousarray(piece.constants)
         self._kept += [columns, constants]
@@ -127,7 +127,7 @@ class PackedPieces:
             kernels.components,
             len(lanes.d),
         )
-        return _Piece(*entries, *sizes, *(each.ctypes.data for each in (columns, constants, lanes.d, lanes.w)))
+        return _PackedPiece(*entries, *sizes, *(each.ctypes.data for each in (columns, constants, lanes.d, lanes.w)))
 
     def extended_pass(
         self, place: Index, x0: Array, scale: Array, mean: Array, covariance: Array

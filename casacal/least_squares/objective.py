@@ -32,7 +32,7 @@ class Normal:
     information: Array
 
 
-class Step(NamedTuple):
+class DampedStep(NamedTuple):
     """A damped Gauss-Newton step: the x (n,) it leads to, its squared length s'Hs, and the fall of cost it predicts."""
 
     x: Array
@@ -160,7 +160,7 @@ class LeastSquares(ABC):
             return self.compact_jacobian(x)
         return self.jacobian(x) * np.sqrt(loss.weight(self.residual(x)))[:, None]
 
-    def damped_step(self, x: Array, normal: Normal, damping: float) -> Step | None:
+    def damped_step(self, x: Array, normal: Normal, damping: float) -> DampedStep | None:
         """Solve (H + damping I) s = -g for the whole objective at x, in coordinates (x - x0) / start_std.
 
         None when that matrix is not safely positive definite. `normal` is the data's part of H and g at x.
@@ -171,15 +171,17 @@ class LeastSquares(ABC):
         step = damped_solution(information, gradient, damping)
         if step is None:
             return None
-        return Step(x + scale * step, float(step @ (information @ step)), float(step @ (damping * step - gradient)) / 2)
+        return DampedStep(
+            x + scale * step, float(step @ (information @ step)), float(step @ (damping * step - gradient)) / 2
+        )
 
-    def revealing_step(self, x: Array, normal: Normal, damping: float, loss: Loss | None = None) -> Step | None:
+    def revealing_step(self, x: Array, normal: Normal, damping: float, loss: Loss | None = None) -> DampedStep | None:
         """The same step from singular values, where normal equations are not safe; None where not all is finite."""
         scale, prior = self.start_std, self.prior_information
         gradient = scale * (normal.gradient + prior * (x - self.x0))
         stacked = np.vstack([self.weighted_rows(x, loss), np.diag(np.sqrt(prior))]) * scale
         found = revealed_solution(stacked, gradient, damping)
-        return None if found is None else Step(x + scale * found[0], found[1], found[2])
+        return None if found is None else DampedStep(x + scale * found[0], found[1], found[2])
 
     def costs(self, states: Array, loss: Loss | None = None) -> Array:
         """Objective at many states (m, n): (m,)."""

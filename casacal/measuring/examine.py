@@ -15,7 +15,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.errors import CasacalError
 from casacal.measuring.known import Known, Places, known_before, known_from, telling
-from casacal.measuring.linear import LinearRows, Told, innovations_at, length, log_density, square
+from casacal.measuring.linear import LinearRows, ShiftedBelief, innovations_at, length, log_density, square
 from casacal.measuring.touch import Slip, Touch, rows_of
 from casacal.planning.route import CHECK
 from casacal.problem.problem import Problem
@@ -57,7 +57,7 @@ class Alarm(Value):
     suspects: tuple[Suspected, ...]
 
     @staticmethod
-    def of(rows: LinearRows, told: Told, k: int, suspects: tuple[Suspected, ...], number: int) -> Alarm:
+    def of(rows: LinearRows, told: ShiftedBelief, k: int, suspects: tuple[Suspected, ...], number: int) -> Alarm:
         """By row k, a touch of some number, where others tell something; of several numbers, their lengths."""
         off, std = rows.off(told, k)
         return Alarm(number, length(off), math.sqrt(float((std**2).sum())), suspects)
@@ -98,7 +98,7 @@ def judged_alone(known: Known, touch: Touch, slips: Callable[[int], list[Slip]],
     """Look at a touch that is not taken in, by what is known; None where it agrees."""
     if touch.kept or _chance_alone(known, touch) >= NEW:
         return None
-    rows, told = LinearRows.of(known, [touch]), Told.by(known.belief)
+    rows, told = LinearRows.of(known, [touch]), ShiftedBelief.by(known.belief)
     usual = float(np.median(known.bound.block.noise))
     return Alarm.of(rows, told, 0, _explained(known, {number: told}, slips, rows.noise[0], usual), number)
 
@@ -115,7 +115,7 @@ def refuse_along(known: Known, touch: Touch) -> None:
 def _chance_alone(known: Known, touch: Touch) -> float:
     """Chance of a touch by what others tell."""
     rows = LinearRows.of(known, [touch])
-    return chance(square(*Told.by(known.belief).of(rows.residual[0], rows.slope[0])), rows.residual.shape[1])
+    return chance(square(*ShiftedBelief.by(known.belief).of(rows.residual[0], rows.slope[0])), rows.residual.shape[1])
 
 
 def _chances(rows: LinearRows, mean: Array) -> Array:
@@ -130,7 +130,7 @@ def _chances(rows: LinearRows, mean: Array) -> Array:
 
 
 def _explained(
-    known: Known, told: Mapping[int, Told], slips: Callable[[int], list[Slip]], noise: Array, usual: float
+    known: Known, told: Mapping[int, ShiftedBelief], slips: Callable[[int], list[Slip]], noise: Array, usual: float
 ) -> tuple[Suspected, ...]:
     """What explains touches, by their numbers, of which others tell something, the likeliest first.
 
@@ -160,7 +160,7 @@ def _explained(
 
 
 @dataclass(frozen=True, eq=False)
-class State(Value):
+class SessionState(Value):
     """What touches tell.
 
     known: by all of them but one in doubt and those kept for checking; None before any. alarm: what is in doubt.
@@ -176,7 +176,7 @@ class State(Value):
 
 
 @dataclass(frozen=True, eq=False)
-class Setting(Value):
+class SessionSetting(Value):
     """What does not change from touch to touch: the problem, planned rows, and where faces are planned."""
 
     problem: Problem
@@ -193,14 +193,14 @@ class Setting(Value):
 
     def state(
         self, touches: Sequence[Touch], slips: Callable[[int], list[Slip]], before: Known | None, *, new: bool
-    ) -> State:
+    ) -> SessionState:
         """What touches tell; `slips` says what may be wrong with one, `new` that the last has just come."""
         fit = [k for k, touch in enumerate(touches) if touch.purpose != CHECK]
         used = [fit[k] for k in self.usable([touches[k] for k in fit])]
         waiting, last = tuple(k for k in fit if k not in set(used)), len(touches) - 1
         known = self.known_by([touches[k] for k in used], before)
         if known is None:
-            return State(waiting=waiting)
+            return SessionState(waiting=waiting)
         if new and touches[last].purpose == CHECK:
             others: Known | None = known
             alarm = judged_alone(known, touches[last], slips, last)
@@ -211,7 +211,7 @@ class Setting(Value):
         if alarm is not None and alarm.touch in used:
             rest = [touches[k] for k in used if k != alarm.touch]
             known = self.known_by([rest[k] for k in self.usable(rest)], before)  # a face may be short of a touch now
-        return State(known, alarm, off, std, waiting)
+        return SessionState(known, alarm, off, std, waiting)
 
     def _others(self, used: Sequence[Touch], before: Known | None) -> Known | None:
         """What all touches but the last tell of its face too; None where they tell nothing of it."""

@@ -25,7 +25,7 @@ MOST = 200  # more touches than nobody makes
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class ShiftedBelief:
     """A Gaussian by which touches are expected: its mean is so far (n,) from the belief's; its covariance (n, n).
 
     evidence: logarithm of that of the rows that told it, less a constant for each row.
@@ -36,9 +36,9 @@ class Told:
     evidence: float = 0.0
 
     @staticmethod
-    def by(belief: Belief) -> Told:
+    def by(belief: Belief) -> ShiftedBelief:
         """The belief itself."""
-        return Told(np.zeros(belief.mean.size), np.asarray(belief.root @ belief.root.T))
+        return ShiftedBelief(np.zeros(belief.mean.size), np.asarray(belief.root @ belief.root.T))
 
     def of(self, residual: Array, slope: Array) -> tuple[Array, Array]:
         """By how much a touch is off, residual (m,) and slope (m, n), whitened: value (m,) and covariance (m, m)."""
@@ -64,16 +64,16 @@ class LinearRows:
         """All but one."""
         return LinearRows(*(np.delete(part, k, axis=0) for part in (self.residual, self.slope, self.noise)))
 
-    def told(self, mean: Array) -> Told:
+    def told(self, mean: Array) -> ShiftedBelief:
         """What they tell together, with the unit prior about -mean of the shift."""
         r, j = self.residual.ravel(), self.slope.reshape(-1, mean.size)
         information, gradient = np.eye(mean.size) + j.T @ j, j.T @ r + mean
         covariance: Array = np.asarray(np.linalg.inv(information), dtype=np.float64)
         shift = -covariance @ gradient
         chi_square = r @ r + mean @ mean + gradient @ shift
-        return Told(shift, covariance, -float(chi_square + np.linalg.slogdet(information)[1]) / 2)
+        return ShiftedBelief(shift, covariance, -float(chi_square + np.linalg.slogdet(information)[1]) / 2)
 
-    def off(self, told: Told, k: int) -> tuple[Array, Array]:
+    def off(self, told: ShiftedBelief, k: int) -> tuple[Array, Array]:
         """By how much a touch is off, and the standard deviation of that (m,), mm."""
         value, spread = told.of(self.residual[k], self.slope[k])
         return value * self.noise[k], np.sqrt(np.diagonal(spread)) * self.noise[k]
@@ -81,14 +81,14 @@ class LinearRows:
 
 def innovations_at(known: Known, touches: Sequence[Touch]) -> tuple[Array, Array]:
     """What each touch would be off by if it came next, and the standard deviation of that, both (touches, m), mm."""
-    rows, told = LinearRows.of(known, touches), Told.by(known.belief)
+    rows, told = LinearRows.of(known, touches), ShiftedBelief.by(known.belief)
     off, stds = zip(*(rows.off(told, k) for k in range(len(touches))), strict=True)
     return np.array(off), np.array(stds)
 
 
 def chance_of(known: Known, touches: Sequence[Touch]) -> float:
     """Chance that touches are together so far off where all is as is known: chi-square, what they share counted."""
-    rows, told = LinearRows.of(known, touches), Told.by(known.belief)
+    rows, told = LinearRows.of(known, touches), ShiftedBelief.by(known.belief)
     value, spread = told.of(rows.residual.ravel(), rows.slope.reshape(-1, told.shift.size))
     return chance(square(value, spread), len(value))
 

@@ -9,7 +9,7 @@ from functools import cached_property
 from casacal.array_types import Array
 from casacal.errors import CasacalError, came
 from casacal.estimators.sckf import Belief
-from casacal.measuring.examine import Alarm, Setting, State
+from casacal.measuring.examine import Alarm, SessionSetting, SessionState
 from casacal.measuring.known import Known, counts, known_before, places_of, telling
 from casacal.measuring.linear import POOL, Pool, chance_of, error_below, expected_error, innovations_at, spectrum
 from casacal.measuring.touch import Slip, Touch, rows_of, slips_of
@@ -36,7 +36,7 @@ class Standing(Value):
     clearance: Clearance | None = None
     best_first: bool = False
     touches: tuple[Touch, ...] = ()
-    state: State = field(default_factory=State)
+    state: SessionState = field(default_factory=SessionState)
     skipped: frozenset[int] = frozenset()
 
     def __post_init__(self) -> None:
@@ -202,14 +202,14 @@ class Standing(Value):
         return pool_of(self.problem, self.cell, POOL, 7, self.clearance)
 
     @cached_property
-    def _setting(self) -> Setting:
+    def _setting(self) -> SessionSetting:
         if self.plan is None:
-            return Setting(self.problem, None, {})
+            return SessionSetting(self.problem, None, {})
         told = telling(self.problem, self.plan.samples, {})
         if not told:  # faces that are planned too seldom have no place
-            return Setting(self.problem, None, {})
+            return SessionSetting(self.problem, None, {})
         placed = self.plan.samples.take(told)
-        return Setting(self.problem, placed, places_of(self.problem, placed))
+        return SessionSetting(self.problem, placed, places_of(self.problem, placed))
 
     @cached_property
     def _all_planned(self) -> tuple[Touch, ...]:

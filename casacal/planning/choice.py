@@ -20,7 +20,7 @@ from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
 from casacal.robots.links import STILL, above_table
 from casacal.samples.samples import Samples, joined
-from casacal.simulation.reach import Touch
+from casacal.simulation.reach import TouchingArm
 from casacal.simulation.simulate import simulate
 from casacal.simulation.touches import default_cell
 from casacal.simulation.true_arm import true_unknowns
@@ -54,10 +54,10 @@ def cell_of(problem: Problem, cell: Disturbances | None) -> Disturbances:
     return replace(still, error_scale=0.0, repeatability=0.0, resolution=0.0)
 
 
-def drawn_touch(problem: Problem, probe: Probe, samples: Samples) -> tuple[Touch, Array, Array, Array]:
+def drawn_touch(problem: Problem, probe: Probe, samples: Samples) -> tuple[TouchingArm, Array, Array, Array]:
     """The arm as drawn with its plunger, and of rows what it reads (N,), its tips and plungers (N, 3)."""
     local = true_unknowns(problem, probe, 0.0, np.random.default_rng(0))
-    arm = Touch.of(problem.robot, problem.instrument, probe, local)
+    arm = TouchingArm.of(problem.robot, problem.instrument, probe, local)
     readings = np.zeros(len(samples)) if probe.column is None else samples.columns[probe.column]
     tips, plungers = arm.place(arm.local, samples.joints, readings[:, None])
     return arm, readings, tips, plungers

@@ -20,7 +20,7 @@ from casacal.errors import CasacalError
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.planning.choice import Choice
 from casacal.planning.estimate import Estimate
-from casacal.planning.extra_touches import Touches
+from casacal.planning.extra_touches import CalibratedCell
 from casacal.planning.set_ups import EXTRA_TOUCHES, Offer, more_samples, offers
 from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
@@ -62,7 +62,7 @@ class Cure:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class CureOutcome:
     """What there would be after a cure.
 
     information: all there would be (m, m); the first unknowns are those that the samples share. rows: the touches that
@@ -94,7 +94,7 @@ def cures(bound: BoundProblem, x: Array, *, stays: float = 0.0) -> tuple[Cure, .
         covariance = posterior_covariance(information, prior_std)[: at.size, : at.size]  # what comes last moves no tip
         return math.sqrt(float((tip_stds(covariance, field) ** 2).sum(axis=1).mean()) + stays), covariance
 
-    found: dict[str, tuple[float, Array, Outcome]] = {}
+    found: dict[str, tuple[float, Array, CureOutcome]] = {}
     for outcome in outcomes(bound, x):
         if np.isfinite(outcome.information).all():
             error, covariance = judged(outcome.information, outcome.prior_std)
@@ -132,39 +132,39 @@ def cure_for(bound: Seen, now: Array, found: Sequence[Cure], direction: NullDire
     return NO_CURE if best is None or best[1] > LOWERS else f"{best[0].words} (in part)"
 
 
-def outcomes(bound: BoundProblem, x: Array) -> Iterator[Outcome]:
+def outcomes(bound: BoundProblem, x: Array) -> Iterator[CureOutcome]:
     """What there would be after each cure at x (n,); the first unknowns are those that the samples share."""
     arm, at = seen(bound, x)
     told = arm.information(at)
     few = bound.unknowns <= MANY  # to choose among touches takes the cube of their number for each
     try:
-        touches = Touches.of(bound, x) if few else None
+        touched = CalibratedCell.of(bound, x) if few else None
     except CasacalError:
-        touches = None
-    if touches is not None and touches.tilt >= MOST_TILT:  # no such arm is understood
-        touches = None
+        touched = None
+    if touched is not None and touched.tilt >= MOST_TILT:  # no such arm is understood
+        touched = None
     stds = np.sqrt(np.diagonal(posterior_covariance(told, arm.prior_std)))
     tool = [j for j in tool_unknowns(arm, at) if arm.units[j] == "mm" and stds[j] > TOOL_STD]
     if tool:  # the samples know its point less well than other means
         prior_std = arm.prior_std.copy()
         prior_std[tool] = np.minimum(prior_std[tool], TOOL_STD)
         words = f"measure {listed([arm.names[j] for j in tool])} to {TOOL_STD:g} mm by other means"
-        yield Outcome("tool", words, 0, told, prior_std)
+        yield CureOutcome("tool", words, 0, told, prior_std)
     if len(bound.samples) > 1:
         yield from _more_of_each(bound, x, told)
         return
-    samples = extra_samples(bound, x) if touches is None and few else None
-    if touches is None and samples is None:
+    samples = extra_samples(bound, x) if touched is None and few else None
+    if touched is None and samples is None:
         ways = (("same", "more samples of the same kind", 1), ("noise", "samples at half the noise", 4))
         for kind, how, weight in ways:
             more = weight * EXTRA_TOUCHES / len(bound.samples[0])
-            yield Outcome(kind, f"{EXTRA_TOUCHES} {how}", EXTRA_TOUCHES, (1 + more) * told, arm.prior_std)
+            yield CureOutcome(kind, f"{EXTRA_TOUCHES} {how}", EXTRA_TOUCHES, (1 + more) * told, arm.prior_std)
         return
     known, field = Estimate(bound, x, told), _field(arm, at)
     pools: dict[Cell | None, Samples | None] = {None: samples}
-    for offer in more_samples(bound.problem) if touches is None else offers(bound, touches):
-        if offer.cell not in pools and touches is not None and offer.cell is not None:
-            pools[offer.cell] = touches.on(offer.cell)
+    for offer in more_samples(bound.problem) if touched is None else offers(bound, touched):
+        if offer.cell not in pools and touched is not None and offer.cell is not None:
+            pools[offer.cell] = touched.on(offer.cell)
         pool = pools[offer.cell]
         if pool is None:
             continue
@@ -174,7 +174,7 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[Outcome]:
             continue
 
 
-def _planned(known: Estimate, offer: Offer, pool: Samples, field: Array) -> Outcome:
+def _planned(known: Estimate, offer: Offer, pool: Samples, field: Array) -> CureOutcome:
     """What the touches of an offer leave that are best of a pool, for a tip that errs by `field` (3M, s)."""
     faces = () if offer.cell is None else offer.cell.faces
     extra, x, told = known.with_rows(offer.problem, faces, pool, offer.noise)
@@ -182,7 +182,7 @@ def _planned(known: Estimate, offer: Offer, pool: Samples, field: Array) -> Outc
     best = choice.best_of(offer.touches, 1, np.random.default_rng(0))
     after = told + extra.take(best).information(x)
     kept = pool.take(best)
-    return Outcome(offer.kind, offer.words, offer.touches, after, extra.prior_std, kept, offer.problem)
+    return CureOutcome(offer.kind, offer.words, offer.touches, after, extra.prior_std, kept, offer.problem)
 
 
 def _field(arm: Seen, at: Array) -> Array:
@@ -191,7 +191,7 @@ def _field(arm: Seen, at: Array) -> Array:
     return without_rigid(arm.tip_jacobian(at, joints), arm.tips(at, joints))
 
 
-def _more_of_each(bound: BoundProblem, x: Array, told: Array) -> Iterator[Outcome]:
+def _more_of_each(bound: BoundProblem, x: Array, told: Array) -> Iterator[CureOutcome]:
     """More of what each of several instruments has measured: as much as its rows tell of the shared unknowns now."""
     for i, name in enumerate(bound.problem.names):
         others = np.flatnonzero(bound.measured.instruments != i)
@@ -199,7 +199,7 @@ def _more_of_each(bound: BoundProblem, x: Array, told: Array) -> Iterator[Outcom
         more = EXTRA_TOUCHES / max(len(bound.samples[i]), 1)
         words = f"{EXTRA_TOUCHES} more samples of the {name}"
         information = told + more * (told - arm.information(at))
-        yield Outcome(f"same as {name}", words, EXTRA_TOUCHES, information, arm.prior_std)
+        yield CureOutcome(f"same as {name}", words, EXTRA_TOUCHES, information, arm.prior_std)
 
 
 def _spread(covariance: Array, along: Array) -> float:

@@ -15,7 +15,7 @@ from casacal.instruments.description import Probe
 from casacal.problem.cell import Cell, Face, triple
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.simulation.reach import Touch
+from casacal.simulation.reach import TouchingArm
 from casacal.simulation.touches import ROUNDS, try_touches
 from casacal.tables.columns import Labels
 from casacal.unknowns.fits import fitted_plane
@@ -30,7 +30,7 @@ TRIES = 2  # rounds of tries after which a face that was never reached is out of
 
 
 @dataclass(frozen=True)
-class Touches:
+class CalibratedCell:
     """An arm as calibrated before its faces as they were found.
 
     problem: with a face for each label. faces: rectangles around what was touched, their normals towards the tool;
@@ -42,7 +42,7 @@ class Touches:
 
     problem: Problem
     probe: Probe
-    touch: Touch
+    touch: TouchingArm
     faces: tuple[Face, ...]
     senses: tuple[int, ...]
     tilt: float
@@ -50,7 +50,7 @@ class Touches:
     held: bool
 
     @staticmethod
-    def of(bound: BoundProblem, x: Array) -> Touches | None:
+    def of(bound: BoundProblem, x: Array) -> CalibratedCell | None:
         """At x (n,); None for instruments that touch no faces, such as a tracker."""
         if len(bound.problem.instruments) != 1:
             return None
@@ -65,13 +65,13 @@ class Touches:
             for slot in bound.slots
             if slot.label is None or slot.label in other.labels.get(slot.unknown.per or "", ())
         }
-        touch = Touch.of(problem.robot, labelled, labelled.probe, local)
+        touch = TouchingArm.of(problem.robot, labelled, labelled.probe, local)
         found = _faces(bound, x, touch, labelled.probe)
         if not found:
             return None
         faces, senses, tilts = zip(*found, strict=True)
         held = more is None or not any(slot.datum and slot.unknown.size for slot in bound.slots)
-        return Touches(problem, labelled.probe, touch, faces, senses, max(tilts), other, held)
+        return CalibratedCell(problem, labelled.probe, touch, faces, senses, max(tilts), other, held)
 
     def on(self, cell: Cell) -> Samples | None:
         """Rows of touches shared between the faces of a cell; None where they are out of reach."""
@@ -100,7 +100,7 @@ class Touches:
         return replace(alike, joints=joints[made], columns=columns, labels=labels)
 
 
-def _faces(bound: BoundProblem, x: Array, touch: Touch, probe: Probe) -> list[tuple[Face, int, float]]:
+def _faces(bound: BoundProblem, x: Array, touch: TouchingArm, probe: Probe) -> list[tuple[Face, int, float]]:
     """Rectangles around the tips of each face, most touched first, its plane's sense, and the largest tilt there."""
     samples, instrument = bound.samples[0], bound.problem.instrument
     some = samples.take(np.arange(0, len(samples), -(-len(samples) // ENOUGH)))

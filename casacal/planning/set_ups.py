@@ -13,7 +13,7 @@ from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.noise_scale import by_face
 from casacal.errors import CasacalError
 from casacal.planning.choice import Choice, cell_of, pool_of, wanted_joints
-from casacal.planning.extra_touches import STEP, Touches, block_on, fresh, inclined, raised, rising
+from casacal.planning.extra_touches import STEP, CalibratedCell, block_on, fresh, inclined, raised, rising
 from casacal.problem.cell import Cell, Disturbances, Face
 from casacal.problem.problem import Problem
 from casacal.uncertainty.expectation import Box
@@ -44,10 +44,10 @@ class Offer:
     touches: int = EXTRA_TOUCHES
 
 
-def offers(bound: BoundProblem, touches: Touches) -> Iterator[Offer]:
+def offers(bound: BoundProblem, touched: CalibratedCell) -> Iterator[Offer]:
     """Every way to go on that makes sense here, whether or not this arm can reach it."""
-    faces, problem = touches.faces, touches.problem
-    now = touches.tilt + MARGIN
+    faces, problem = touched.faces, touched.problem
+    now = touched.tilt + MARGIN
     same = _cell(faces, now)
     for kind, count in (("same", EXTRA_TOUCHES), ("many", PLENTY)):
         yield Offer(kind, f"{count} planned touches of the same kind", problem, same, touches=count)
@@ -58,9 +58,9 @@ def offers(bound: BoundProblem, touches: Touches) -> Iterator[Offer]:
     if now < NEARLY:
         words = f"{EXTRA_TOUCHES} planned touches with the tool tilted by up to 30 degrees"
         yield Offer("tilt", words, problem, _cell(faces, TILT))
-    if not touches.held:
-        yield from _other_faces(touches, now)
-    yield from _step(touches, now)
+    if not touched.held:
+        yield from _other_faces(touched, now)
+    yield from _step(touched, now)
 
 
 def more_samples(problem: Problem) -> Iterator[Offer]:
@@ -70,9 +70,9 @@ def more_samples(problem: Problem) -> Iterator[Offer]:
     yield Offer("noise", f"{EXTRA_TOUCHES} planned samples at half the noise", problem, None, 0.5)
 
 
-def _other_faces(touches: Touches, tilt: float) -> Iterator[Offer]:
+def _other_faces(touched: CalibratedCell, tilt: float) -> Iterator[Offer]:
     """A face at right angles to the first; where all are as good as one, that one inclined."""
-    faces, problem, first = touches.faces, touches.problem, touches.faces[0]
+    faces, problem, first = touched.faces, touched.problem, touched.faces[0]
     leaning = max(tilt, TILT)
     for aside in _across(first):
         second = rising(first, aside, fresh("second", faces))
@@ -86,15 +86,15 @@ def _other_faces(touches: Touches, tilt: float) -> Iterator[Offer]:
             yield Offer("inclined", words, problem, _cell((leaned,), max(tilt, INCLINED + 10 * MARGIN)))
 
 
-def _step(touches: Touches, tilt: float) -> Iterator[Offer]:
+def _step(touched: CalibratedCell, tilt: float) -> Iterator[Offer]:
     """A gauge block that stands on the first face: touches on it and beside it."""
-    first, label = touches.faces[0], fresh("known step", touches.faces)
-    stepped = touches.problem.instrument.with_step(label, first.label, touches.senses[0] * STEP)
+    first, label = touched.faces[0], fresh("known step", touched.faces)
+    stepped = touched.problem.instrument.with_step(label, first.label, touched.senses[0] * STEP)
     if stepped is None:
         return
     cell = _cell((first, block_on(first, label)), tilt)
     words = f"{EXTRA_TOUCHES} planned touches on a gauge block (a {STEP:g} mm step) and beside it"
-    yield Offer("step", words, Problem(touches.problem.robot, stepped), cell)
+    yield Offer("step", words, Problem(touched.problem.robot, stepped), cell)
 
 
 def _cell(faces: tuple[Face, ...], tilt: float) -> Cell:

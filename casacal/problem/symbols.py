@@ -151,7 +151,7 @@ def _shape(expression: Any) -> str:
     return str(rows) if columns == 1 else f"{rows}x{columns}"
 
 
-class _Part(NamedTuple):
+class _CFunction(NamedTuple):
     """A function in C: name, inputs and outputs by name, and what it gives."""
 
     name: str
@@ -160,7 +160,7 @@ class _Part(NamedTuple):
     words: str
 
 
-def _parts(traced: Trace) -> list[_Part]:
+def _parts(traced: Trace) -> list[_CFunction]:
     """Functions of values p; and of deviations z with constants c, as estimators use them."""
     symbols, built = traced.free
     q, zc = {"q": traced.q}, {"z": traced.z, "c": traced.c}
@@ -169,12 +169,14 @@ def _parts(traced: Trace) -> list[_Part]:
     at = ca.vertcat(*(ca.vec(ca.SX(u.packed(getattr(traced.p, key)))) for key, u in traced.unknowns.items()))
     slopes = {"residual": traced.residual, "jacobian": traced.jacobian.T}
     return [
-        _Part("values", zc, {"p": at}, "the values p at deviations z from nominal"),
-        _Part("pose", p | q, {"pose": ca.SX(built.pose).T}, "flange pose, 4 x 4, row by row"),
-        _Part("tip", p | q | row, {"tip": built.tip}, "where the instrument touches or is watched, mm, base frame"),
-        _Part("residual", p | q | row, {"residual": built.residual}, "the residual e of one row"),
-        _Part("jacobian", zc | q | row, slopes, "e and its derivative by z, row by row"),
-        _Part("noise", zc | q | row, {"noise": residual_noise(traced)}, "standard deviation of e"),
+        _CFunction("values", zc, {"p": at}, "the values p at deviations z from nominal"),
+        _CFunction("pose", p | q, {"pose": ca.SX(built.pose).T}, "flange pose, 4 x 4, row by row"),
+        _CFunction(
+            "tip", p | q | row, {"tip": built.tip}, "where the instrument touches or is watched, mm, base frame"
+        ),
+        _CFunction("residual", p | q | row, {"residual": built.residual}, "the residual e of one row"),
+        _CFunction("jacobian", zc | q | row, slopes, "e and its derivative by z, row by row"),
+        _CFunction("noise", zc | q | row, {"noise": residual_noise(traced)}, "standard deviation of e"),
     ]
 
 

@@ -28,7 +28,7 @@ from casacal.values import FrozenMapping, Value
 
 
 @dataclass(frozen=True)
-class Seen:
+class RowExpressions:
     """What `pose`, `tip` and `residual` build of values p, joint values q and a row's columns."""
 
     pose: Expression
@@ -113,11 +113,11 @@ class Trace(Value):
         return SimpleNamespace(**{k: u.at(self.nominals[k], self.local[k]) for k, u in self.unknowns.items()})
 
     @cached_property
-    def seen(self) -> Seen:
+    def seen(self) -> RowExpressions:
         """What is built of p; raises ProblemError when `pose`, `tip` or `residual` fails or has the wrong shape."""
         return self.at(vars(self.p))
 
-    def at(self, values: Mapping[str, Any]) -> Seen:
+    def at(self, values: Mapping[str, Any]) -> RowExpressions:
         """What the functions build of other values p."""
         robot, instrument, columns, q = self.robot, self.instrument, self.columns, self.q
         p, row, kind = SimpleNamespace(**values), SimpleNamespace(**columns), type(instrument).__name__
@@ -137,7 +137,7 @@ class Trace(Value):
             )
         tip = traced(instrument.tip, "tip", kind, (3, 1), pose, p, row)
         plunger = traced(instrument.plunger_direction, "plunger_direction", kind, (3, 1), pose, p, optional=True)
-        return Seen(pose, tip, residual, ca.SX(plunger) if plunger.numel() else None)
+        return RowExpressions(pose, tip, residual, ca.SX(plunger) if plunger.numel() else None)
 
     @property
     def pose(self) -> ca.SX:
@@ -167,7 +167,7 @@ class Trace(Value):
         return ca.vertcat(*raw.values()), self.at(p).residual
 
     @cached_property
-    def free(self) -> tuple[Mapping[str, ca.SX], Seen]:
+    def free(self) -> tuple[Mapping[str, ca.SX], RowExpressions]:
         """A symbol for the whole value of each unknown, by key, and what is built of them: p itself is an input."""
         packed = {key: ca.SX(unknown.packed(getattr(self.p, key))) for key, unknown in self.unknowns.items()}
         symbols = {key: ca.SX.sym(key, *matrix.shape) for key, matrix in packed.items()}

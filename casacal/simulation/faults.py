@@ -13,7 +13,7 @@ from casacal.array_types import Array, Index
 from casacal.errors import SimulationError
 from casacal.problem.cell import Cell
 from casacal.robots.robot import Robot
-from casacal.simulation.reach import Touch
+from casacal.simulation.reach import TouchingArm
 
 TURN = 1.0  # what one turn of the pointer shows, mm
 ROUNDS = 60
@@ -86,7 +86,7 @@ def unwaved(waves: Sequence[GearWave], joints: Array) -> Array:
     return said
 
 
-def yielding(touch: Touch, joints: Array, readings: Array) -> tuple[Array, Array]:
+def yielding(touch: TouchingArm, joints: Array, readings: Array) -> tuple[Array, Array]:
     """Deflections (N, n) of joints that yield to their own torque, J' of the tip's height, and the tip's moves (N,)."""
     _, _, slope, _ = touch(joints, readings)
     lever = slope[:, 2, :]
@@ -98,7 +98,7 @@ LEAST_PULL = 1e3
 """Moves of a tip (mm^2) below which no joint carries a weight: an upright SCARA that leans by milliradians has 1."""
 
 
-def weighed(touch: Touch, joints: Array, readings: Array) -> float:
+def weighed(touch: TouchingArm, joints: Array, readings: Array) -> float:
     """RMS move (mm^2) of the tip as joints yield; raises SimulationError where none of them carries a weight."""
     pull = math.sqrt(float((yielding(touch, joints, readings)[1] ** 2).mean()))
     if pull < LEAST_PULL:
@@ -157,7 +157,7 @@ class ArmErrors:
     pull: float = 1.0
     thermal: float = 0.0
 
-    def sag(self, touch: Touch, joints: Array, readings: Array) -> Array:
+    def sag(self, touch: TouchingArm, joints: Array, readings: Array) -> Array:
         """Deflections (N, n) under gravity of joints that stand at `joints`."""
         if self.compliance == 0:
             return np.zeros_like(joints)
@@ -167,7 +167,7 @@ class ArmErrors:
         """Times (N,) by which the tip is further from the base at places 0 ... 1 of a session."""
         return np.asarray(1 + self.thermal * (1 - np.exp(-SOON * when)) / (1 - math.exp(-SOON)))
 
-    def tips(self, touch: Touch, joints: Array, readings: Array, when: Array) -> Array:
+    def tips(self, touch: TouchingArm, joints: Array, readings: Array, when: Array) -> Array:
         """True tips (N, 3; mm) where the controller says `joints` (N, n)."""
         unladen = waved(self.waves, joints)
         standing = unladen

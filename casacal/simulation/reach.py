@@ -30,7 +30,7 @@ RIDGE = 1e-7
 
 
 @dataclass(frozen=True)
-class Touch:
+class TouchingArm:
     """A plunger on an arm with given true parameters: tip, direction and their slopes by the joints."""
 
     robot: Robot
@@ -39,7 +39,7 @@ class Touch:
     local: Array
 
     @staticmethod
-    def of(robot: Robot, instrument: Instrument, probe: Probe, local: Mapping[str, Array]) -> Touch:
+    def of(robot: Robot, instrument: Instrument, probe: Probe, local: Mapping[str, Array]) -> TouchingArm:
         """Compile for the arm whose unknowns stand at `local` coordinates by key; the plane plays no part."""
         unknowns = {**robot.parameters, **{key: instrument.unknowns[key] for key in probe.moves}}
         z = {key: ca.SX.sym(key, unknown.size) for key, unknown in unknowns.items()}
@@ -61,7 +61,9 @@ class Touch:
             inputs = [ca.vertcat(*z.values()), q, reading]
             return Batch(ca.Function("touch", inputs, [ca.densify(o) for o in ca.cse(outputs)]))
 
-        touch = Touch(robot, batch(place), batch(place + slopes), np.concatenate([local[key] for key in unknowns]))
+        touch = TouchingArm(
+            robot, batch(place), batch(place + slopes), np.concatenate([local[key] for key in unknowns])
+        )
         tips, *_ = touch(random_joints(robot, 20, np.random.default_rng(0)), np.zeros(20))
         if not np.isfinite(tips).all(axis=1).any():
             raise SimulationError(

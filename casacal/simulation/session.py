@@ -26,14 +26,14 @@ from casacal.simulation.faults import (
     ways,
     weighed,
 )
-from casacal.simulation.reach import Touch
+from casacal.simulation.reach import TouchingArm
 from casacal.simulation.touches import EDGE, find_touches
 from casacal.simulation.true_arm import Draw, true_unknowns
 from casacal.tables.columns import Labels
 
 
 @dataclass(frozen=True)
-class Plan:
+class SessionPlan:
     """Which face and which place each row touches, and when; rows (N,), places (P,)."""
 
     which: Index
@@ -45,15 +45,15 @@ class Plan:
     when: Array
 
     @staticmethod
-    def of(samples: int, faces: int, repeats: int) -> Plan:
+    def of(samples: int, faces: int, repeats: int) -> SessionPlan:
         """Faces in turn, each place so many times in a row."""
         rows = np.arange(samples)
         place = rows // repeats
         turn = place // faces * repeats + rows % repeats
-        return Plan(place % faces, place, rows[::repeats], turn, rows / max(samples - 1, 1))
+        return SessionPlan(place % faces, place, rows[::repeats], turn, rows / max(samples - 1, 1))
 
     @staticmethod
-    def at(postures: Samples, column: str | None, faces: Sequence[Face]) -> Plan:
+    def at(postures: Samples, column: str | None, faces: Sequence[Face]) -> SessionPlan:
         """One touch in each posture, of the face that its label names; raises SimulationError where there is none."""
         known = {face.label: k for k, face in enumerate(faces)}
         names = [faces[0].label] * len(postures) if column is None else list(postures.labels[column])
@@ -64,7 +64,7 @@ class Plan:
             )
         rows, which = np.arange(len(names)), np.array([known[name] for name in names], dtype=np.intp)
         turn = np.array([(which[:k] == which[k]).sum() for k in rows])
-        return Plan(which, rows, rows, turn, rows / max(len(rows) - 1, 1))
+        return SessionPlan(which, rows, rows, turn, rows / max(len(rows) - 1, 1))
 
     @property
     def again(self) -> Rows:
@@ -83,10 +83,10 @@ class _Contact:
     (N,) that the tip is further from the base.
     """
 
-    touch: Touch
+    touch: TouchingArm
     probe: Probe
     cell: Cell
-    plan: Plan
+    plan: SessionPlan
     lift: Array
     forms: Sequence[int | None]
     growth: Array
@@ -154,12 +154,12 @@ def touched_rows(
     _refuse(cell, probe)
     truth_rng, pose_rng, noise_rng, form_rng, gear_rng, dial_rng, way_rng = draw.streams(7, of_the_arm=(0, 3, 4))
     local = draw.true(true_unknowns(problem, probe, cell.error_scale, truth_rng))
-    touch = Touch.of(problem.robot, instrument, probe, local)
+    touch = TouchingArm.of(problem.robot, instrument, probe, local)
     given = samples if isinstance(samples, Samples) else None
     if isinstance(samples, Samples):
-        cell, plan = replace(cell, repeats=1), Plan.at(samples, probe.label, cell.faces)
+        cell, plan = replace(cell, repeats=1), SessionPlan.at(samples, probe.label, cell.faces)
     else:
-        plan = Plan.of(samples, len(cell.faces), cell.repeats)
+        plan = SessionPlan.of(samples, len(cell.faces), cell.repeats)
     count = len(plan.which)
     noise = probe.noise_std if cell.repeatability is None else cell.repeatability
     gross = noise_rng.random(count) < cell.outliers
@@ -200,7 +200,7 @@ def touched_rows(
     return rows if met.all() else rows.take(np.flatnonzero(met)), local, arm, dial
 
 
-def _labels(problem: Problem, probe: Probe, cell: Cell, plan: Plan) -> dict[str, Labels]:
+def _labels(problem: Problem, probe: Probe, cell: Cell, plan: SessionPlan) -> dict[str, Labels]:
     """Labels of the rows by column: their faces; other labels are all alike."""
     count = len(plan.which)
     labels = {name: Labels([FIRST], np.zeros(count, dtype=np.intp)) for name in problem.layout().labels}

@@ -19,7 +19,7 @@ from casacal.samples.layout import Layout
 from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
 from casacal.simulation.faults import ArmErrors, DialErrors, waved
-from casacal.simulation.reach import Touch
+from casacal.simulation.reach import TouchingArm
 from casacal.simulation.rows import fitting_rows
 from casacal.simulation.session import touched_rows
 from casacal.simulation.touches import default_cell, refuse_lost_steps
@@ -115,7 +115,7 @@ class Simulation(Value):
                 raise SimulationError(f"{type(problem.instrument).__name__} has no plunger", "Leave the readings out")
             bound = bind(problem.without_effects, self.measured)
             return bound.tips(self.truth(bound), waved(self.arm_errors.waves, q))
-        touch = Touch.of(problem.robot, problem.instrument, probe, self.local)
+        touch = TouchingArm.of(problem.robot, problem.instrument, probe, self.local)
         ways, places = (
             np.broadcast_to(np.asarray(v, dtype=np.float64), len(q))
             for v in (0.0 if readings is None else readings, when)

@@ -17,7 +17,7 @@ from casacal.problem.problem import Problem
 from casacal.robots.joint_space import random_joints
 from casacal.robots.links import above_table
 from casacal.simulation.faults import levels
-from casacal.simulation.reach import Touch
+from casacal.simulation.reach import TouchingArm
 from casacal.simulation.true_arm import true_unknowns
 from casacal.unknowns.plane import Plane
 from casacal.unknowns.unknown import tangent_basis, unit_vector
@@ -32,7 +32,7 @@ ROUNDS, MOST_ROUNDS = 60, 600
 
 
 def find_touches(
-    touch: Touch,
+    touch: TouchingArm,
     probe: Probe,
     cell: Cell,
     which: Index,
@@ -65,7 +65,7 @@ def find_touches(
 
 
 def try_touches(
-    touch: Touch,
+    touch: TouchingArm,
     probe: Probe,
     cell: Cell,
     which: Index,
@@ -155,7 +155,7 @@ def default_cell(problem: Problem, *, table: float = 0.0) -> Cell:
             "Simulate it without a cell",
         )
     nominal = true_unknowns(problem, probe, 0.0, rng)
-    touch = Touch.of(problem.robot, problem.instrument, probe, nominal)
+    touch = TouchingArm.of(problem.robot, problem.instrument, probe, nominal)
     tips, plungers = touch(random_joints(problem.robot, 400, rng), np.zeros(400))[:2]
     base = np.median(tips, axis=0)
     reach = float(np.quantile(np.linalg.norm(tips - base, axis=1), 0.9))

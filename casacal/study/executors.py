@@ -26,7 +26,7 @@ from casacal.threads import VARIABLE as THREADS
 from casacal.threads import one_thread_each
 
 Asked = TypeVar("Asked")
-Outcome = TypeVar("Outcome")
+Answered = TypeVar("Answered")
 
 CONNECT_SECONDS, CLOSE_SECONDS = 10, 5
 
@@ -96,7 +96,7 @@ def _key(path: str, quick: bool, trials: int, setting: str, method: str) -> str:
     return _study(path, quick, trials).fingerprint(setting, method)
 
 
-def in_processes(function: Callable[[Asked], Outcome], tasks: Sequence[Asked], workers: int) -> Iterator[Outcome]:
+def in_processes(function: Callable[[Asked], Answered], tasks: Sequence[Asked], workers: int) -> Iterator[Answered]:
     """In `workers` fresh processes of this machine; the function and its tasks must be importable and picklable.
 
     Raises StudyError when a process dies.
@@ -135,7 +135,7 @@ def _end_with_parent() -> None:
         os._exit(1)  # a worker whose parent is gone waits for tasks for ever
 
 
-def on_cluster(function: Callable[[Asked], Outcome], tasks: Sequence[Asked], address: str) -> Iterator[Outcome]:
+def on_cluster(function: Callable[[Asked], Answered], tasks: Sequence[Asked], address: str) -> Iterator[Answered]:
     """On the Dask cluster whose scheduler listens at `address`, such as tcp://host:8786.
 
     Its workers need casacal and the study's file at the same path. Raises StudyError without the extra `cluster`,

@@ -9,7 +9,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.least_squares.losses import Loss
-from casacal.least_squares.objective import ExtendedPass, FilterPass, LeastSquares, Normal, Step
+from casacal.least_squares.objective import DampedStep, ExtendedPass, FilterPass, LeastSquares, Normal
 
 
 class Metered(LeastSquares):
@@ -64,7 +64,7 @@ class Metered(LeastSquares):
             self._seen(normal.cost + self.prior_cost(x))
         return normal
 
-    def damped_step(self, x: Array, normal: Normal, damping: float) -> Step | None:
+    def damped_step(self, x: Array, normal: Normal, damping: float) -> DampedStep | None:
         """A damped step, which costs no rows."""
         return self.problem.damped_step(x, normal, damping)
 

@@ -17,7 +17,7 @@ from casacal.discrepancy.smooth import JointField
 from casacal.errors import ProblemError
 from casacal.estimators import lm
 from casacal.problem.problem import Problem
-from casacal.uncertainty.effect_sizes import Sizes, Told, effect_sizes, told
+from casacal.uncertainty.effect_sizes import NormalEquations, Sizes, effect_sizes, told
 from casacal.uncertainty.joint_repeatability import WORTH, beforehand, joints_err, with_joints
 
 ENOUGH = 300  # rows from which on a field of many unknowns can be told
@@ -79,7 +79,7 @@ class _Linear:
     """
 
     x: Array
-    ways: tuple[tuple[BoundProblem, Told], ...]
+    ways: tuple[tuple[BoundProblem, NormalEquations], ...]
 
     @staticmethod
     def of(bound: BoundProblem, problem: Problem, geometry: Array) -> _Linear:
@@ -118,7 +118,12 @@ class _Linear:
         return max((self._likeliest(*way, least) for way in ways), key=lambda found: found.evidence)
 
     def _likeliest(
-        self, whole: BoundProblem, seen: Told, least: float | None, *, start: Mapping[str, float] | None = None
+        self,
+        whole: BoundProblem,
+        seen: NormalEquations,
+        least: float | None,
+        *,
+        start: Mapping[str, float] | None = None,
     ) -> _Found:
         """At the sizes and the noise that make the rows likeliest."""
         sizes = self._sizes(whole, seen, least, start=start)
@@ -128,7 +133,7 @@ class _Linear:
     def _sizes(
         self,
         whole: BoundProblem,
-        seen: Told,
+        seen: NormalEquations,
         least: float | None,
         *,
         start: Mapping[str, float] | None = None,
@@ -151,7 +156,7 @@ class _Found:
     evidence: float
     rows: BoundProblem
     times: Mapping[str, float]
-    told: Told
+    told: NormalEquations
 
 
 def times_found(whole: BoundProblem) -> dict[str, float]:

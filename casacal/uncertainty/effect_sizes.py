@@ -17,36 +17,38 @@ from casacal.values import FrozenMapping
 
 
 @dataclass(frozen=True)
-class Told:
+class NormalEquations:
     """What rows say where everything is linear: J'J (n, n), J'y (n,) and y'y, whitened."""
 
     information: Array
     toward: Array
     square: float
 
-    def __add__(self, other: Told) -> Told:
+    def __add__(self, other: NormalEquations) -> NormalEquations:
         """Both together."""
-        return Told(self.information + other.information, self.toward + other.toward, self.square + other.square)
+        return NormalEquations(
+            self.information + other.information, self.toward + other.toward, self.square + other.square
+        )
 
-    def with_noise(self, times: float) -> Told:
+    def with_noise(self, times: float) -> NormalEquations:
         """The same of rows whose noise is some times as large."""
-        return Told(self.information / times**2, self.toward / times**2, self.square / times**2)
+        return NormalEquations(self.information / times**2, self.toward / times**2, self.square / times**2)
 
     @staticmethod
-    def of(slopes: Array, heights: Array) -> Told:
+    def of(slopes: Array, heights: Array) -> NormalEquations:
         """Of rows J (m, n) and y (m,)."""
-        return Told(slopes.T @ slopes, slopes.T @ heights, float(heights @ heights))
+        return NormalEquations(slopes.T @ slopes, slopes.T @ heights, float(heights @ heights))
 
 
-def told(problem: LeastSquares, x: Array) -> Told:
+def told(problem: LeastSquares, x: Array) -> NormalEquations:
     """All rows of a problem at x (n,), about which y = J x - r."""
     normal = problem.normal(x)
     information = normal.information
     square = 2 * (normal.cost - float(x @ normal.gradient)) + float(x @ information @ x)
-    return Told(information, information @ x - normal.gradient, square)
+    return NormalEquations(information, information @ x - normal.gradient, square)
 
 
-def evidence(rows: Told, prior: Array) -> float:
+def evidence(rows: NormalEquations, prior: Array) -> float:
     """Logarithm of the marginal likelihood of rows under zero means and a prior's information (n,), but for a constant.
 
     The constant depends on the rows alone. Unknowns without prior are projected out. -inf where rounding spoils it.
@@ -92,7 +94,7 @@ def effect_sizes(
     *,
     stated: float = 1.0,
     least: float | None = 1.0,
-    seen: Told | None = None,
+    seen: NormalEquations | None = None,
     start: Mapping[str, float] | None = None,
     search: bool = True,
 ) -> Sizes:
@@ -135,7 +137,7 @@ def effect_sizes(
 
 def _objective(
     logs: Array,
-    seen: Told,
+    seen: NormalEquations,
     rows: int,
     beforehand: Array,
     groups: Sequence[NDArray[np.intp]],

@@ -14,7 +14,7 @@ from casacal.binding.noise_scale import OTHERS, REPEATABILITY, by_face, factors,
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.least_squares.result import Result
 from casacal.samples.repeats import Repeats
-from casacal.uncertainty.effect_sizes import Told
+from casacal.uncertainty.effect_sizes import NormalEquations
 from casacal.uncertainty.figures import effective_unknowns, ratio_interval
 
 LACKING = 0.01
@@ -105,7 +105,7 @@ SMALLEST = 1e-3  # part of a row's variance that its own residual must hold to b
 MOST_ROWS = 4096  # rows, evenly over all, at which is looked whether more should be tried
 
 
-def joints_err(bound: BoundProblem, x: Array, told: Told) -> bool:
+def joints_err(bound: BoundProblem, x: Array, told: NormalEquations) -> bool:
     """Whether rows that see more of the joints may err more than others where a fit stands.
 
     A score test of the variance: squares of what is left, over what is expected of them, against g^2 / noise^2. bound:

@@ -17,7 +17,7 @@ from casacal.errors import CasacalError, ProblemError, came
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
 from casacal.problem.problem_text import FINEST
-from casacal.uncertainty.effect_sizes import Told, evidence, told
+from casacal.uncertainty.effect_sizes import NormalEquations, evidence, told
 from casacal.uncertainty.workspace import without_rigid, workspace_joints
 from casacal.values import FrozenMapping, Value
 
@@ -71,7 +71,7 @@ STEP = 0.05  # step of the logarithms for the curvature, from which the interval
 NORMAL_95 = 1.959964  # quantile of the normal distribution for 95 %
 
 
-class Fitted(Protocol):
+class CalibrationFit(Protocol):
     """What a calibration has that was made in this process."""
 
     @property
@@ -114,7 +114,7 @@ class LearnedPriors(Value):
         )
 
 
-def learned_priors(calibrations: Iterable[Fitted]) -> LearnedPriors:
+def learned_priors(calibrations: Iterable[CalibrationFit]) -> LearnedPriors:
     """How far arms of a make are from their drawing, as calibrations of some of them show, over what their priors say.
 
     All lengths of the arms have one factor and all angles another: those at which the rows of all arms together are
@@ -166,7 +166,7 @@ class _Arm:
     """What the rows of one arm say where its fit stands, its prior's information (n,), and whose units are where."""
 
     fit: BoundProblem
-    rows: Told
+    rows: NormalEquations
     prior: Array
     units: Mapping[str, Index]
 

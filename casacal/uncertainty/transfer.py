@@ -14,7 +14,7 @@ from casacal.least_squares.linalg import svd
 from casacal.least_squares.result import Result
 from casacal.samples.samples import Samples
 from casacal.tables.columns import Labels
-from casacal.uncertainty.effect_sizes import Told, evidence, told
+from casacal.uncertainty.effect_sizes import NormalEquations, evidence, told
 from casacal.uncertainty.figures import HALF_WEIGHT, rms
 from casacal.uncertainty.fresh_rows import FreshRows, chance, covariance_root
 
@@ -122,14 +122,14 @@ def gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[str, dict[
         parted = _splits({FACES: bound.faces, INSTRUMENTS: Labels(every.names, every.instruments)}, every.joints)
     for name, parts in parted.items():
         rows = [bound.residuals_of(part) for part in parts]
-        seen = [Told.of(slopes[part], heights[part]) for part in rows]
+        seen = [NormalEquations.of(slopes[part], heights[part]) for part in rows]
         whole = _densities(seen, prior)
         for key, without in priors.items():
             found[key][name] = whole - _densities(seen, without)
     return found
 
 
-def _densities(seen: list[Told], prior: Array) -> float:
+def _densities(seen: list[NormalEquations], prior: Array) -> float:
     """Sum over some parts of the logarithm of each one's density given the others, but for a constant."""
     whole, total = evidence(sum(seen[1:], seen[0]), prior), 0.0
     for k in range(len(seen)):
@@ -137,7 +137,7 @@ def _densities(seen: list[Told], prior: Array) -> float:
         rest = sum(others[1:], others[0])
         known = (prior > 0) | (np.diagonal(rest.information) > 0)  # a face that is left out stands where it likes
         total += whole - evidence(
-            Told(rest.information[np.ix_(known, known)], rest.toward[known], rest.square), prior[known]
+            NormalEquations(rest.information[np.ix_(known, known)], rest.toward[known], rest.square), prior[known]
         )
     return total
 

@@ -43,7 +43,7 @@ ROUND = 10.0  # multiple of mm at which the volume is divided
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class VisibleError:
     """What some fresh rows see of the arm's error.
 
     fresh: the rows, and the arm. kept: which of the residuals (k,) count. quieter: part of the stated noise, as a
@@ -164,7 +164,7 @@ class Seen:
         return math.sqrt(float(self.promised[counts].sum()) / given) if given > 0 else math.nan
 
 
-def seen_by_rows(arm: CalibratedArm, fresh: Fresh, without: NDArray[np.intp] | None = None) -> Seen:
+def seen_by_rows(arm: CalibratedArm, fresh: Fresh, without: NDArray[np.intp] | None = None) -> VisibleError:
     """What fresh rows see of the arm's error, all of them or without some residuals.
 
     Part of the stated noise may not be taken off, as it would hide the arm's error, where it was surely stated too
@@ -180,10 +180,10 @@ def seen_by_rows(arm: CalibratedArm, fresh: Fresh, without: NDArray[np.intp] | N
     half = (rows.freedom - expected.shape[1]) / 2
     if half and square < 2 * float(gammaincinv(half, SURE)):
         quieter = min(quieter, math.sqrt(square / (2 * float(gammaincinv(half, 1 - SURE)))))
-    return Seen(fresh, np.setdiff1d(np.arange(bound.rows), [] if without is None else without), quieter)
+    return VisibleError(fresh, np.setdiff1d(np.arange(bound.rows), [] if without is None else without), quieter)
 
 
-def errors_by_part(seen: Seen, drawn: Array) -> tuple[PartError, ...]:
+def errors_by_part(seen: VisibleError, drawn: Array) -> tuple[PartError, ...]:
     """Errors of all rows, then of faces and of regions where there are several with rows enough.
 
     drawn: unknowns (n,) of the arm as drawn, those of the rows fitted.

@@ -16,7 +16,7 @@ from casacal.calibration.saved import AsArm
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.result_file import read_result
 from casacal.compensation.seen_by import seen_by
-from casacal.compensation.told import NOTHING, Told
+from casacal.compensation.told import NOTHING, TellingColumns
 from casacal.errors import CasacalError, SamplesError, came
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
@@ -187,7 +187,7 @@ def _fresh_among(arm: CalibratedArm, source: ProblemFile, rows: Samples, *, othe
         for some, which in ((rows, again), (once, seen))
     )
     fresh = once.take(np.flatnonzero(~seen))
-    remarks = (NOTHING if other else Told.by(arm, fresh)).beyond
+    remarks = (NOTHING if other else TellingColumns.by(arm, fresh)).beyond
     if not other:
         remarks += (*_unlabelled(fresh, source, arm), *_same_postures(fresh, source, data.fitted_rows))
     return Opened(arm, source, fresh, copied, fitted, other, remarks)
