@@ -8,9 +8,7 @@ import shlex
 import textwrap
 from collections.abc import Sequence
 
-from casacal.calibration.calibration import Calibration
-from casacal.calibration.doubt import VERIFY
-from casacal.calibration.fitted import MINIMISERS
+from casacal.calibration.calibration import MINIMISERS, Calibration
 from casacal.calibration.told import verdict_lines
 from casacal.calibration.verdict import (
     held_as_drawn,
@@ -18,7 +16,7 @@ from casacal.calibration.verdict import (
     unexplained,
     wrong_with_samples,
 )
-from casacal.calibration.warnings import doubts
+from casacal.calibration.warnings import VERIFY, doubts
 from casacal.compensation.result import Verdict
 from casacal.planning.cures import Cure
 from casacal.wording import listed, lower

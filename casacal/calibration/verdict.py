@@ -6,10 +6,8 @@ import math
 
 import numpy as np
 
-from casacal.calibration.calibration import FAR, LACK_OF_FIT, Calibration
-from casacal.calibration.doubt import Doubt
-from casacal.calibration.fitted import MINIMISERS
-from casacal.calibration.warnings import NOISE_BAND, doubts, larger_than_any
+from casacal.calibration.calibration import FAR, LACK_OF_FIT, MINIMISERS, Calibration
+from casacal.calibration.warnings import NOISE_BAND, Doubt, doubts, larger_than_any
 from casacal.checks import Finding
 from casacal.checks.numbers import SCALE, without_its_likes
 from casacal.compensation.result import Verdict

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from casacal.calibration.calibration import FAR, Calibration
-from casacal.calibration.doubt import DECLARE, REPEAT, WIDEN, Doubt
 from casacal.calibration.metrics import more_than_stated
 from casacal.calibration.motion import tip_extremes
 from casacal.uncertainty.discrepancy import at_most, errors_are_shared
@@ -22,6 +22,27 @@ TOO_TIGHT = 1e-4  # chance of moves as large as these, all together, below which
 SETTLED = 0.1  # expected tip error over that before, below which the samples decide, however loose the priors
 
 SHOWN = 6
+DECLARE = "have the dial calibrated, or declare the error as unknown (gain=dial_gain(0.15) or cycle= of the instrument)"
+
+VERIFY = "touch in other postures, and check with casacal verify whether the result holds there"
+WIDEN = f"state wider priors (--accuracy, --prior) if the arm may be so far from its drawing; otherwise {VERIFY}"
+REPEAT = (
+    "touch some places three times each, which separates the scatter of touches from errors of the model; or state "
+    "the noise, if it is known to be larger (--set noise_std=MM)"
+)
+"""What settles a doubt whose cause nobody knows."""
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A clause to put after "but", and a sentence.
+
+    step: what settles it; empty where the data check, which was not run, may find the cause.
+    """
+
+    clause: str
+    sentence: str
+    step: str = ""
 
 
 def warnings(calibration: Calibration) -> list[str]:
