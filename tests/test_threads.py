@@ -35,7 +35,7 @@ def test_one_thread_and_two_find_the_same_numbers(hsr, backend, monkeypatch):
         assert (block.threads, other.threads) == (1, 2)
         for first, second in zip(block(v), other(v), strict=True):
             np.testing.assert_array_equal(first, second)
-    monkeypatch.setattr("casacal.binding.evaluated_rows.COMPACT", 10_000)
+    monkeypatch.setattr("casacal.binding.bound_problem.COMPACT", 10_000)
     triangle = one.compact_jacobian(x)
     assert triangle.shape == (one.unknowns, one.unknowns)
     np.testing.assert_array_equal(triangle, two.compact_jacobian(x))

@@ -11,8 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.binding.all_rows import each_alone
-from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.binding.bound_problem import BoundProblem, bind, each_alone
 from casacal.binding.marginal import Marginal, Seen, extended, seen
 from casacal.calibration.given import Reference
 from casacal.calibration.metrics import Metrics, metrics_of, parts_of

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.binding.all_rows import each_alone
-from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.binding.bound_problem import BoundProblem, bind, each_alone
 from casacal.checks.beside_geometry import beside_geometry
 from casacal.checks.causes import ALIKE, EXPLAINED, SUSPICIOUS, MisfitCause, explained
 from casacal.checks.faults import flips

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.binding.all_rows import each_alone
-from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.binding.bound_problem import BoundProblem, bind, each_alone
 from casacal.binding.noise_scale import times
 from casacal.binding.nominal import nominal_tips
 from casacal.checks.finding import Finding

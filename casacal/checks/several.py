@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from casacal.binding.all_rows import each_alone
-from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.bound_problem import BoundProblem, each_alone
 from casacal.checks.causes import SUSPICIOUS
 from casacal.checks.finding import Finding, misfit
 from casacal.checks.fitted_faults import freed_of_unknowns, weighted

@@ -10,7 +10,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.noise_scale import OTHERS, REPEATABILITY, by_face, factors, of_repeats
+from casacal.binding.noise_scale import OTHERS, REPEATABILITY, by_face, of_repeats
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.least_squares.result import Result
 from casacal.samples.repeats import Repeats
@@ -66,8 +66,8 @@ def pure_error(result: Result, again: Repeats) -> PureError | None:
     if not again.any or len(again.sizes) < 2:
         return None
     scale = bound.scale
-    of_a_touch = bound.residual(result.x) * factors(bound, scale)
-    faces = factors(bound, by_face(scale))
+    of_a_touch = bound.residual(result.x) * bound.noise_factors(scale)
+    faces = bound.noise_factors(by_face(scale))
     r = of_a_touch / faces
     mean = again.summed(r) / again.sizes
     within, freedom = float(((r - mean[again.codes]) ** 2).sum()), float(len(r) - len(mean))
