@@ -14,7 +14,7 @@ from casacal.binding.noise_scale import OTHERS, SHARED, of_repeats
 from casacal.estimators import lm
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
-from casacal.uncertainty.discrepancy import MANY
+from casacal.uncertainty.discrepancy import too_many
 from casacal.uncertainty.joint_repeatability import pure_error, repeats_in
 from casacal.uncertainty.noise import UNEQUAL, bartlett
 from casacal.uncertainty.quadratic_forms import holm
@@ -100,7 +100,7 @@ class _Rows:
 
     @staticmethod
     def of(bound: BoundProblem, problem: Problem) -> _Rows | None:
-        if not 0 < bound.unknowns <= MANY:
+        if not bound.unknowns or too_many(bound):
             return None
         bound = bound.thinned(MOST_ROWS)
         result = lm(bound)
