@@ -22,6 +22,7 @@ from casacal.checks.check import _few_of_each_face
 from casacal.estimators.ipopt_objective import Objective
 from casacal.least_squares.linalg import determined
 from casacal.planning.cures import cures
+from casacal.uncertainty.discrepancy import with_effects
 from casacal.uncertainty.figures import leverages, noise_interval
 
 
@@ -147,3 +148,12 @@ def test_declared_effects_are_taken_out_with_their_own_priors(hsr, samples):
     )
     rows = found.compact_jacobian(x[kept]) * scale[kept]
     np.testing.assert_allclose(rows.T @ rows, schur, rtol=1e-6, atol=1e-6 * np.abs(schur).max())
+
+
+def test_faces_that_are_held_are_not_given_forms_by_the_hundred(hsr):
+    """200 faces have no unknown between them, and their forms would have 1,200."""
+    touches = simulate(hsr.problem, hsr.cell, samples=100, seed=3).samples.take(np.arange(800) % 100)
+    labels = {"plane": tuple(f"face {k // 4}" for k in range(800))}
+    held = bind(hsr.problem.fix("plane"), dataclasses.replace(touches, labels=labels))
+    assert held.unknowns == 24
+    assert with_effects(held, held.problem) is held

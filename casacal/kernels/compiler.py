@@ -10,7 +10,6 @@ import shlex
 import shutil
 import signal
 import subprocess
-import threading
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,7 +23,7 @@ TUNING = (("-march=native", "-fopenmp-simd"), ("-mcpu=native", "-fopenmp-simd"),
 LIBRARIES = () if WINDOWS else ("-lm",)
 SUFFIX = ".dll" if WINDOWS else ".so"
 SECONDS, ANSWERS = 60.0, 15.0  # how long a compiler may take to compile, and to say its version
-HEARD = 1 << 16  # bytes that are kept of what a compiler says
+HEARD = 1 << 16  # bytes that are kept of what a compiler says; who says more than a pipe holds, waits until time is up
 
 
 class CompilerError(Exception):
@@ -45,16 +44,16 @@ class Compiler:
         """Compile a source to a library in a folder; raises CompilerError when there is none afterwards."""
         code, made = place / "kernel.c", place / f"kernel{SUFFIX}"
         code.write_text(source, encoding="utf-8")
-        first = None
+        reasons = []
         for tuning in TUNING:
             ended, said = _told([*self.command, *FLAGS, *tuning, str(code), "-o", str(made), *LIBRARIES], SECONDS)
             if ended is None:  # whatever it waits for, it would again
                 raise CompilerError(f"{self} took longer than {SECONDS:g} s")
             if ended == 0:
                 break
-            first = first or said or f"exit code {ended}"
+            reasons.append(said or f"exit code {ended}")
         else:
-            raise CompilerError(f"{self} failed ({first})")
+            raise CompilerError(f"{self} failed ({reasons[0]})")
         if made.is_symlink() or not made.is_file() or not made.stat().st_size:
             raise CompilerError(f"{self} wrote no library")
         return made
@@ -75,22 +74,21 @@ def _asked(given: str) -> Compiler | str:
     command = next((words for name in names if (words := _command(name))), None)
     if command is None:
         return f"no C compiler found ({', '.join(names)})"
-    shown = " ".join(command)
     try:
         ended, said = _told([*command, "--version"], ANSWERS)
     except CompilerError as error:
         return str(error)
     if ended != 0:
-        return f"{shown} does not run (" + ("no answer" if ended is None else said or f"exit code {ended}") + ")"
+        reason = "no answer" if ended is None else said or f"exit code {ended}"
+        return f"{' '.join(command)} does not run ({reason})"
     return Compiler(command, said)
 
 
 def _command(name: str) -> tuple[str, ...] | None:
     """A compiler by path or name, perhaps behind another program, as in "ccache gcc"; None where there is none."""
-    try:
-        ways = [[name], shlex.split(name, posix=not WINDOWS)]
-    except ValueError:  # a quotation that does not end
-        ways = [[name]]
+    ways = [[name]]
+    with contextlib.suppress(ValueError):  # a quotation that does not end
+        ways.append(shlex.split(name, posix=not WINDOWS))
     for words in ways:
         path = shutil.which(words[0]) if words else None
         if path is not None and not _is_stub(path):
@@ -100,18 +98,18 @@ def _command(name: str) -> tuple[str, ...] | None:
 
 def _told(command: list[str], seconds: float) -> tuple[int | None, str]:
     """Exit code (None: not in time) and first line of what a program says; raises CompilerError when none starts."""
-    heard, code = bytearray(), None
-    read, write = os.pipe()
-    listener = threading.Thread(target=_listen, args=(read, heard), daemon=True)
-    listener.start()
     try:
         process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=write, stderr=subprocess.STDOUT, start_new_session=not WINDOWS
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            bufsize=0,
+            start_new_session=not WINDOWS,
         )
     except (OSError, ValueError) as error:
         raise CompilerError(f"{command[0]} does not run ({type(error).__name__})") from error
-    finally:
-        os.close(write)
+    code, heard = None, b""
     try:
         with contextlib.suppress(subprocess.TimeoutExpired):
             code = process.wait(seconds)
@@ -121,16 +119,13 @@ def _told(command: list[str], seconds: float) -> tuple[int | None, str]:
                 os.killpg(process.pid, signal.SIGKILL)  # and whatever it started
         process.kill()
         process.wait()
-    listener.join(1.0)
-    lines = bytes(heard).decode(errors="replace").strip().splitlines()
+    assert process.stdout is not None
+    with process.stdout as pipe, contextlib.suppress(BlockingIOError):
+        if not WINDOWS:
+            os.set_blocking(pipe.fileno(), False)  # somebody may still hold the other end
+        heard = os.read(pipe.fileno(), HEARD)
+    lines = heard.decode(errors="replace").strip().splitlines()
     return code, "".join(c if c.isprintable() else "?" for c in lines[0])[:200] if lines else ""
-
-
-def _listen(read: int, heard: bytearray) -> None:
-    """Read to the end, and keep the beginning."""
-    with open(read, "rb", buffering=0) as pipe:
-        while said := pipe.read(HEARD):
-            heard += said[: HEARD - len(heard)]
 
 
 def _is_stub(path: str) -> bool:

@@ -22,34 +22,39 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from casacal.kernels.compiler import FLAGS, MACOS, SUFFIX, TUNING, WINDOWS, Compiler, CompilerError, compiler
+from casacal.kernels.compiler import FLAGS, MACOS, SUFFIX, TUNING, WINDOWS, CompilerError, compiler
 
 KEY, KEY_BYTES = "libraries.key", 32
+WRITABLE, VISIBLE = 0o022, 0o077  # bits of a mode by which others can write, and do anything at all
 
 
 def load_library(source: str, functions: Sequence[str]) -> ctypes.CDLL:
     """The library of a C source with some functions, compiled now or before; raises CompilerError.
 
-    What is in the cache is loaded when it is what was compiled, and compiled anew when it is not.
+    What is in the cache is loaded when it is what was compiled, and compiled anew when it is not. It is compiled beside
+    its place and renamed, so that processes that race see a whole file or none.
     """
     chosen, folder = compiler(), cache_folder()
     told = "\n".join([source, *chosen.command, chosen.version, *FLAGS, str(TUNING), _processor()])
     name = hashlib.sha256(told.encode()).hexdigest()[:32]
     try:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        if not _ours(folder):
-            raise CompilerError(f"the cache folder {folder} can be written by others")
-        key = _key(folder)
+        key = _key(_private(folder))
         for found in sorted(folder.glob(f"{name}-*{SUFFIX}")):
-            if _whole(found, name, key):
+            content = _content(found, WRITABLE)
+            if content is not None and found.name == _sealed(name, content, key):
                 with contextlib.suppress(CompilerError):
-                    return _loaded(found, functions, chosen)
+                    return _loaded(found, functions, str(chosen))
             _remove(found)
-        made = _made(source, chosen, folder, name, key)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".", ignore_cleanup_errors=True) as place:
+            made = chosen.build(source, Path(place))
+            made.chmod(0o700)
+            target = folder / _sealed(name, made.read_bytes(), key)
+            if not target.exists():  # while it is in use, Windows refuses to replace it
+                os.replace(made, target)
         try:
-            return _loaded(made, functions, chosen)
+            return _loaded(target, functions, str(chosen))
         except CompilerError:
-            _remove(made)
+            _remove(target)
             raise
     except OSError as error:
         raise CompilerError(f"the cache folder {folder} cannot be used ({error.strerror or error})") from error
@@ -63,50 +68,50 @@ def cache_folder() -> Path:
 
 def _users_folder() -> Path:
     base = os.environ.get("LOCALAPPDATA" if WINDOWS else "XDG_CACHE_HOME")
-    if base:
-        return Path(base) / "casacal"
     try:
-        home = Path.home()
+        return Path(base or Path.home() / ("Library/Caches" if MACOS else ".cache")) / "casacal"
     except RuntimeError as error:
         raise CompilerError("this user has no home folder for a cache") from error
-    return home / ("Library/Caches" if MACOS else ".cache") / "casacal"
 
 
-def _made(source: str, chosen: Compiler, folder: Path, name: str, key: bytes) -> Path:
-    """Compile beside its place and rename, so that processes that race see a whole file or none."""
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".", ignore_cleanup_errors=True) as place:
-        made = chosen.build(source, Path(place))
-        made.chmod(0o700)
-        target = folder / f"{name}-{_seal(made, name, key)}{SUFFIX}"
-        if not target.exists():  # while it is in use, Windows refuses to replace it
-            os.replace(made, target)
-        return target
+def _private(folder: Path) -> Path:
+    """A folder, made where there is none; raises CompilerError where somebody else can write it."""
+    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    if not _ours(folder.stat(), WRITABLE):
+        raise CompilerError(f"the cache folder {folder} can be written by others")
+    return folder
 
 
-def _loaded(path: Path, functions: Sequence[str], chosen: Compiler) -> ctypes.CDLL:
+def _ours(about: os.stat_result, forbidden: int) -> bool:
+    """Whether something belongs to this user and its mode has no forbidden bit; where there are no owners, yes."""
+    return not hasattr(os, "getuid") or (about.st_uid == os.getuid() and not about.st_mode & forbidden)
+
+
+def _content(path: Path, forbidden: int) -> bytes | None:
+    """What is in a file of this user; None where it is no file, a link, or its mode has a forbidden bit."""
+    with contextlib.suppress(OSError):
+        about = path.lstat()
+        if stat.S_ISREG(about.st_mode) and _ours(about, forbidden):
+            return path.read_bytes()
+    return None
+
+
+def _sealed(name: str, content: bytes, key: bytes) -> str:
+    """File name of a library: what it was made from, and a keyed hash of that and of its content."""
+    seal = hmac.digest(key, name.encode() + hashlib.sha256(content).digest(), "sha256").hex()[:32]
+    return f"{name}-{seal}{SUFFIX}"
+
+
+def _loaded(path: Path, functions: Sequence[str], made_by: str) -> ctypes.CDLL:
     """A library, once it is sure to have the functions; raises CompilerError."""
     try:
         library = ctypes.CDLL(str(path))
     except OSError as error:
-        raise CompilerError(f"what {chosen} made cannot be loaded ({error})") from error
-    lacking = [function for function in functions if not hasattr(library, function)]
-    if lacking:
-        raise CompilerError(f"what {chosen} made has no function {lacking[0]}")
+        raise CompilerError(f"what {made_by} made cannot be loaded ({error})") from error
+    for function in functions:
+        if not hasattr(library, function):
+            raise CompilerError(f"what {made_by} made has no function {function}")
     return library
-
-
-def _seal(path: Path, name: str, key: bytes) -> str:
-    """Keyed hash of a library's content and of what it was made from."""
-    with path.open("rb") as file:
-        content = hashlib.file_digest(file, "sha256").digest()
-    return hmac.digest(key, name.encode() + content, "sha256").hex()[:32]
-
-
-def _whole(path: Path, name: str, key: bytes) -> bool:
-    """Whether a file of the cache is the user's alone and what was compiled under this name."""
-    if not stat.S_ISREG(path.lstat().st_mode) or not _ours(path):
-        return False
-    return hmac.compare_digest(path.stem.partition("-")[2], _seal(path, name, key))
 
 
 def _remove(path: Path) -> None:
@@ -115,70 +120,44 @@ def _remove(path: Path) -> None:
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
         else:
-            path.unlink(missing_ok=True)
+            path.unlink()
 
 
 def _key(folder: Path) -> bytes:
     """The user's key, from the user's own cache folder, else from beside the libraries; made where there is none."""
-    places = [folder]
-    with contextlib.suppress(CompilerError):
-        places.insert(0, _users_folder())
-    for place in places:
-        with contextlib.suppress(OSError):
-            place.mkdir(parents=True, exist_ok=True, mode=0o700)
-            if _ours(place):
-                return _key_in(place)
-    raise CompilerError(f"no key can be kept in the cache folder {folder}")
+    with contextlib.suppress(CompilerError, OSError):
+        return _key_in(_private(_users_folder()))
+    return _key_in(folder)
 
 
 def _key_in(folder: Path) -> bytes:
-    """The key of a folder, made where there is none that is this user's alone."""
     path = folder / KEY
-    if (found := _read_key(path)) is not None:
-        return found
-    handle, temporary = tempfile.mkstemp(dir=folder, prefix=".")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(secrets.token_bytes(KEY_BYTES))
-        try:
-            os.link(temporary, path)  # of processes that race, one makes it
-        except OSError:
-            if _read_key(path) is None:  # what is there is no key, or the file system knows no links
-                _remove(path)
-                os.replace(temporary, path)
-    finally:
-        Path(temporary).unlink(missing_ok=True)
-    made = _read_key(path)
-    if made is None:
+    if _read_key(path) is None:
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".") as place:
+            made = Path(place) / KEY
+            made.touch(0o600)
+            made.write_bytes(secrets.token_bytes(KEY_BYTES))
+            try:
+                os.link(made, path)  # of processes that race, one makes it
+            except OSError:
+                if _read_key(path) is None:  # what is there is no key, or the file system knows no links
+                    _remove(path)
+                    os.replace(made, path)
+    if (found := _read_key(path)) is None:
         raise OSError(f"{path} cannot be read")
-    return made
+    return found
 
 
 def _read_key(path: Path) -> bytes | None:
-    """A key that nobody else can read or write; None where there is no such file."""
-    try:
-        about = path.lstat()
-        if not stat.S_ISREG(about.st_mode) or not _ours(path) or (hasattr(os, "getuid") and about.st_mode & 0o077):
-            return None
-        found = path.read_bytes()
-    except OSError:
-        return None
-    return found if len(found) == KEY_BYTES else None
-
-
-def _ours(path: Path) -> bool:
-    """Whether a path belongs to this user and nobody else can write it; where there are no owners, yes."""
-    if not hasattr(os, "getuid"):
-        return True
-    about = path.stat()
-    return about.st_uid == os.getuid() and not about.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    found = _content(path, VISIBLE)
+    return found if found is not None and len(found) == KEY_BYTES else None
 
 
 @functools.cache
 def _processor() -> str:
     """What -march=native depends on; where nobody tells, the machine, for home folders may be shared."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return f"{platform.machine()} {platform.processor()} {platform.node()}"
-    return next((line for line in lines if line.startswith(("flags", "Features"))), platform.machine())
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith(("flags", "Features")):
+                return line
+    return f"{platform.machine()} {platform.processor()} {platform.node()}"

@@ -21,7 +21,10 @@ from casacal.uncertainty.effect_sizes import NormalEquations, Sizes, effect_size
 from casacal.uncertainty.joint_repeatability import WORTH, beforehand, joints_err, with_joints
 
 ENOUGH = 300  # rows from which on a field of many unknowns can be told
-MANY = 300  # unknowns of the geometry beyond which each face has too few rows to say anything of effects
+MANY, MANY_FACES = (
+    300,
+    150,
+)  # unknowns of the geometry, and faces, beyond which each has too few rows to tell of effects
 NEARLY = 0.98  # part of the most that an effect may be from which it is taken to stand there
 
 SAGS = 0.5  # times the usual sag from which on it is asked whose weight it is
@@ -45,7 +48,7 @@ def with_effects(bound: BoundProblem, problem: Problem, *, find_noise: bool = Tr
         find_noise: whether noise is found beside the sizes; else it stays as it is.
 
     """
-    if not 0 < bound.unknowns <= MANY:
+    if not bound.unknowns or too_many(bound):
         return bound
     geometry = lm(bound)
     if not geometry.converged:
@@ -69,6 +72,13 @@ def with_effects(bound: BoundProblem, problem: Problem, *, find_noise: bool = Tr
         if by_links.best(least).evidence > standard.best(least).evidence:
             return by_links.sized(least)
     return found
+
+
+def too_many(bound: BoundProblem) -> bool:
+    """Whether unknowns of the geometry, or faces whose forms would be unknown, are too many for effects beside it."""
+    pairs = zip(bound.problem.instruments, bound.samples, strict=True)
+    faces = sum(len(some.faces(each.groups).names) for each, some in pairs if each.probe is not None)
+    return bound.unknowns > MANY or faces > MANY_FACES
 
 
 @dataclass(frozen=True)
