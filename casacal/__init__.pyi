@@ -111,6 +111,6 @@ from casacal.unknowns import Direction as Direction
 from casacal.unknowns import Frame as Frame
 from casacal.unknowns import Parameter as Parameter
 from casacal.unknowns import Plane as Plane
-from casacal.verification.verify import Verification as Verification
+from casacal.verification.verification import Verification as Verification
 from casacal.verification.verify import verify as verify
 from casacal.version import __version__ as __version__

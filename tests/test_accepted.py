@@ -28,7 +28,6 @@ from casacal import (
     verify,
 )
 from casacal.cli.main import main
-from casacal.verification.sentences import measurand
 
 TOOL = np.array([20.0, 10.0, 60.0])
 NOISE = 0.02
@@ -186,7 +185,7 @@ def test_an_error_in_distances_is_never_called_accuracy(good):
     assert words.startswith("Promise kept, and accepted: 60 fresh rows")
     assert "This decides on what these planes see, not on the position of the tip." in words
     assert "could remain unseen" in words
-    assert "tip" not in measurand(found)
+    assert "tip" not in found.measurand
     assert "Accepted up to" in words
     assert "not on the position of the tip" in found.page()
 
@@ -420,7 +419,8 @@ def test_a_page_takes_the_place_of_nothing_that_is_needed(written, capsys):
 
 def test_what_names_hold_is_text_on_the_page(written):
     found = verify(written / "out", written / "fresh.csv", tolerance=0.05)
-    odd = dataclasses.replace(found, samples="<script>alert(1)</script>&.csv", robot='"><b>arm')
+    names = dataclasses.replace(found.judged, samples="<script>alert(1)</script>&.csv", robot='"><b>arm')
+    odd = dataclasses.replace(found, judged=names)
     page = Page(odd.page())
     assert page.faults == []
     assert page.all("script") == page.all("b") == []

@@ -321,9 +321,9 @@ def test_fresh_rows_in_another_unit_are_refused_and_heavy_ones_are_said(loaded):
     ):
         verify(loaded, centi)
     found = verify(loaded, heavy)
-    assert any("torque2_Nm is" in words and "extrapolated" in words for words in found.remarks)
-    assert found.remarks[0] in found.summary()
-    assert found.to_dict()["remarks"] == list(found.remarks)
+    assert any("torque2_Nm is" in words and "extrapolated" in words for words in found.judged.remarks)
+    assert found.judged.remarks[0] in found.summary()
+    assert found.to_dict()["remarks"] == list(found.judged.remarks)
 
 
 def test_a_result_from_before_ranges_were_kept_corrects_as_before(loaded, asked):

@@ -38,7 +38,7 @@ from casacal.samples.layout import Layout
 from casacal.samples.repeats import MOST, copies, fitted_among, is_listing, listing
 from casacal.samples.samples import joined
 from casacal.uncertainty.fresh_rows import FreshRows, chance, learnt
-from casacal.verification.figures import LEVEL
+from casacal.verification.verification import LEVEL
 
 ROBOTS = ("hsr_jr680", "ur5", "kuka_iiwa14", "adept_cobra600")
 FITTED, FRESH = 90, 60
@@ -187,7 +187,7 @@ def test_the_promise_of_a_good_arm_is_kept(name):
     rms = np.array([[one.after_mm, one.predicted_mm, one.before_mm] for one in found]) ** 2
     assert rms[:, 0].mean() == pytest.approx(rms[:, 1].mean(), rel=0.1)
     assert rms[:, 2].mean() > 10 * rms[:, 0].mean()
-    assert sum(face.rows for face in found[0].faces) == found[0].rows == FRESH
+    assert sum(face.rows for face in found[0].faces) == found[0].judged.rows == FRESH
     assert 0 < found[0].hidden_tip_mm < found[0].promised_tip_mm
 
 
@@ -261,7 +261,7 @@ def test_faces_that_still_stand_are_not_fitted_again(good):
     assert free.kept
     assert held.kept
     assert (free.freedom, held.freedom) == (FRESH - 9, FRESH - 3)
-    assert held.own == tuple(f"plane.side.{name}" for name in ("tilt1", "tilt2", "offset"))
+    assert held.judged.own == tuple(f"plane.side.{name}" for name in ("tilt1", "tilt2", "offset"))
     assert held.seen > free.seen
     # a wall that was moved 0.1 mm: its own place is fitted, so only those who hold it notice
     _, bound, *_ = drawn("hsr_jr680")
@@ -278,7 +278,7 @@ def test_a_face_that_stands_needs_no_rows_of_its_own(good):
     arm, fresh, _, _ = good
     few = fresh.take([0])
     found = verify(arm, few, standing=[few.labels["plane"][0]])
-    assert (found.rows, found.freedom, found.own) == (1, 1, ())
+    assert (found.judged.rows, found.freedom, found.judged.own) == (1, 1, ())
     with pytest.raises(CasacalError, match="has 1 row for 3 unknowns of its own"):
         verify(arm, few)
 
@@ -338,8 +338,8 @@ def test_a_tracker_says_how_accurate_the_tip_is(good, hsr):
     found = verify(arm, rows, problem=problem)
     assert found.kept
     assert found.accuracy
-    assert len(found.own) == 6
-    assert all(name.startswith("station.") for name in found.own)
+    assert len(found.judged.own) == 6
+    assert all(name.startswith("station.") for name in found.judged.own)
     assert found.freedom == 3 * 40 - 6
     # as drawn: what is left of the nominal points after the best rigid motion
     frames = bound.poses(bound.x0, rows.joints)
@@ -365,7 +365,7 @@ def test_a_reflector_nobody_measured_belongs_to_its_rows(good, hsr):
     found = verify(arm, rows, problem=problem, tolerance=2.0)
     assert found.kept
     assert found.decision.verdict == "accept"
-    assert len(found.own) == 9
+    assert len(found.judged.own) == 9
     assert "and of the reflector" in found.summary()
     with pytest.raises(SamplesError, match="3 rows for 9 unknowns"):
         verify(arm, rows.take([0, 1, 2]), problem=problem)
@@ -399,11 +399,11 @@ def test_a_tool_goes_with_its_instrument():
     source, bound, *_ = drawn("ur5")
     some, fresh = halves(bound.block.samples)
     arm = fitted(source, some)
-    assert "tool_x" not in verify(arm, fresh).own
+    assert "tool_x" not in verify(arm, fresh).judged.own
     problem = Problem(source.problem.robot, TrackedPoint(noise_std=0.01))
     rows = tracked(bound, bound.x0, np.array([0.0, 0.0, 50.0]), np.random.default_rng(15))
-    assert {"tool_x", "tool_y", "tool_z"} < set(verify(arm, rows, problem=problem).own)
-    assert "tool_x" not in verify(arm, rows, problem=problem, standing=["tool"]).own
+    assert {"tool_x", "tool_y", "tool_z"} < set(verify(arm, rows, problem=problem).judged.own)
+    assert "tool_x" not in verify(arm, rows, problem=problem, standing=["tool"]).judged.own
 
 
 # ------------------------------------------------------------------------------------------------ values and refusals
@@ -436,7 +436,7 @@ def test_a_verification_is_a_value(good):
     assert found != verify(arm, fresh, tolerance=1.0)
     assert "promise kept" in repr(found)
     with pytest.raises(dataclasses.FrozenInstanceError):
-        found.rows = 3
+        found.p = 0.5
     document = json.loads(json.dumps(found.to_dict()))
     assert document["kept"] is document["passed"] is True
     assert [face["label"] for face in document["faces"]] == ["floor", "wall", "side"]
@@ -550,11 +550,11 @@ def test_fresh_rows_among_fitted_ones_are_judged_alone(spent):
     arm, some, fresh, _ = spent
     new, old = frame_of(fresh), frame_of(some)
     found, alone = verify(arm, pd.concat([new, old.iloc[:20]])), verify(arm, new)
-    assert (found.rows, len(found.fitted_lines), alone.fitted_lines) == (FRESH, 20, ())
+    assert (found.judged.rows, len(found.judged.fitted_lines), alone.judged.fitted_lines) == (FRESH, 20, ())
     assert found.chi_square == pytest.approx(alone.chi_square, rel=1e-9)
     assert "20 rows of DataFrame are among those that the arm was calibrated from and do not count." in found.summary()
     assert len(found.to_dict()["fitted_lines"]) == 20
-    assert verify(arm, pd.concat([new, old.iloc[: FRESH - 1]])).rows == FRESH
+    assert verify(arm, pd.concat([new, old.iloc[: FRESH - 1]])).judged.rows == FRESH
     with pytest.raises(SamplesError, match="half of the rows or more are those that the arm was calibrated from"):
         verify(arm, pd.concat([new, old.iloc[:FRESH]]))
 
@@ -565,15 +565,17 @@ def test_the_same_postures_touched_again_are_fresh(spent):
     rng = np.random.default_rng(32)
     old = frame_of(some)
     again = verify(arm, old.assign(reading_mm=old["reading_mm"] + rng.normal(size=len(old)) * 0.01))
-    assert again.rows > 0.7 * len(old)  # a reading may be the old one by chance
-    assert f"{again.rows} of {again.rows} rows are in postures that were fitted." in again.summary()
+    assert again.judged.rows > 0.7 * len(old)  # a reading may be the old one by chance
+    assert f"{again.judged.rows} of {again.judged.rows} rows are in postures that were fitted." in again.summary()
     elsewhere = verify(arm, frame_of(spent[2]))
-    assert elsewhere.remarks == ()
+    assert elsewhere.judged.remarks == ()
     one = frame_of(spent[2]).assign(q1_deg=old["q1_deg"].iloc[:FRESH].to_numpy())
-    assert not [said for said in verify(arm, one).remarks if "postures" in said], "one joint alone makes no posture"
+    assert not [said for said in verify(arm, one).judged.remarks if "postures" in said], (
+        "one joint alone makes no posture"
+    )
     moved = verify(arm, old.assign(reading_mm=old["reading_mm"] + 0.2 + rng.normal(size=len(old)) * 0.01))
-    assert moved.rows == len(old)
-    assert moved.fitted_lines == ()
+    assert moved.judged.rows == len(old)
+    assert moved.judged.fitted_lines == ()
 
 
 def test_fresh_rows_of_the_seed_of_the_calibration_are_fresh(hsr):
@@ -582,7 +584,7 @@ def test_fresh_rows_of_the_seed_of_the_calibration_are_fresh(hsr):
     assert some.sha256 == fresh.sha256
     found = calibrate(hsr, some, method="lm", reference=False, discrepancy="none")
     same = verify(found, dataclasses.replace(fresh, columns={"reading": fresh.columns["reading"] + 1.0}))
-    assert same.rows == 60
+    assert same.judged.rows == 60
     with pytest.raises(SamplesError, match="verifies nothing"):
         verify(found, some)
 
@@ -591,7 +593,7 @@ def test_fresh_rows_of_the_seed_of_the_calibration_are_fresh(hsr):
 def test_rows_that_were_held_out_are_fresh(hsr):
     some = simulate(hsr.problem, hsr.cell, samples=90, seed=5).samples
     held = calibrate(hsr, some, method="lm", reference=False, holdout=0.3, discrepancy="none")
-    assert verify(held, held.heldout.block.samples).rows == len(held.heldout.block.samples)
+    assert verify(held, held.heldout.block.samples).judged.rows == len(held.heldout.block.samples)
 
 
 def test_of_very_many_rows_a_spread_is_kept():
@@ -662,15 +664,15 @@ def test_rows_that_were_pasted_count_once(spent, times):
     for _ in range(10):
         fresh = frame_of(halves(touched("hsr_jr680", x, rng))[1])
         once, often = verify(arm, fresh), verify(arm, pd.concat([fresh] * times))
-        assert len(often.copied_lines) == (times - 1) * FRESH
-        assert (often.rows, often.chi_square) == (once.rows, pytest.approx(once.chi_square, rel=1e-9))
+        assert len(often.judged.copied_lines) == (times - 1) * FRESH
+        assert (often.judged.rows, often.chi_square) == (once.judged.rows, pytest.approx(once.chi_square, rel=1e-9))
         kept += often.kept
     assert kept >= binom.ppf(1e-3, 10, 1 - LEVEL)
     assert f"{(times - 1) * FRESH} rows of DataFrame repeat others to the last digit and count once." in often.summary()
     pasted = pd.concat([fresh, fresh.iloc[5:9]])
     some = verify(arm, pasted)
-    assert some.copied_lines == tuple(Samples.from_frame(pasted, arm.source.problem.layout()).lines[FRESH:])
-    assert some.rows == FRESH
+    assert some.judged.copied_lines == tuple(Samples.from_frame(pasted, arm.source.problem.layout()).lines[FRESH:])
+    assert some.judged.rows == FRESH
 
 
 def test_touches_made_again_on_a_coarse_dial_all_count():

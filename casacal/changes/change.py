@@ -9,7 +9,7 @@ from typing import Any
 from casacal.array_types import Array
 from casacal.samples.samples import Samples
 from casacal.values import Value, frozen
-from casacal.verification.figures import Judged
+from casacal.verification.opened import Judged
 from casacal.wording import capital, chance, listed, numbered_lines, times, with_spread
 
 INTERVAL = 1.96  # standard deviations of an interval of 95 %
@@ -79,18 +79,19 @@ class Shown(Value):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Change(Judged):
+class Change(Value):
     """Whether an arm has changed since its calibration, by fresh rows.
 
-    drift: what may have drifted since, standard deviations by name. alarm: rate of false alarms that was asked for. p,
-    level: the smallest chance of all tests, and below which it is an alarm, so that this rate is met. chi_square,
-    freedom, p_all: of all rows together. ended: "nothing", "changed", "rows" or "undecided". causes: the one, or those
-    that cannot be told apart, likeliest first. bad_lines: rows that are off. joints: what would have been found of
-    each. unseen: what cannot show here. touches: postures that would tell the causes apart, with expected readings;
-    None where none are needed or known. tells: log-odds to expect of them between the two causes that are hardest to
-    tell apart.
+    judged: the rows, and the calibration. drift: what may have drifted since, standard deviations by name. alarm: rate
+    of false alarms that was asked for. p, level: the smallest chance of all tests, and below which it is an alarm, so
+    that this rate is met. chi_square, freedom, p_all: of all rows together. ended: "nothing", "changed", "rows" or
+    "undecided". causes: the one, or those that cannot be told apart, likeliest first. bad_lines: rows that are off.
+    joints: what would have been found of each. unseen: what cannot show here. touches: postures that would tell the
+    causes apart, with expected readings; None where none are needed or known. tells: log-odds to expect of them between
+    the two causes that are hardest to tell apart.
     """
 
+    judged: Judged
     drift: tuple[tuple[str, float], ...]
     alarm: float
     p: float
@@ -117,9 +118,9 @@ class Change(Judged):
         said = [
             _answer(self),
             *(unseen if self.ended == NOTHING else []),
-            *self.own_verdict,
-            *self.remarks,
-            *self.left_out(
+            *self.judged.own_verdict,
+            *self.judged.remarks,
+            *self.judged.left_out(
                 "of {} repeat other rows to the last digit and are counted once",
                 "of {} were used for the calibration and are not counted",
             ),
@@ -138,25 +139,25 @@ class Change(Judged):
             name: [asdict(each) for each in getattr(self, name)] for name in ("causes", "joints")
         }
         instead |= {"drift": dict(self.drift), "touches": None if self.touches is None else len(self.touches)}
-        return self.document({"changed": self.changed}, instead)
+        return self.judged.document({"changed": self.changed}, self, instead)
 
     def __repr__(self) -> str:
         names = ", ".join(cause.name for cause in self.causes)
         said = {NOTHING: "nothing changed", ROWS: "rows are off"}.get(self.ended, f"{self.ended}: {names}")
-        return f"<Change of {self.robot} by {self.rows} fresh rows: {said}, p {self.p:.3g}>"
+        return f"<Change of {self.judged.robot} by {self.judged.rows} fresh rows: {said}, p {self.p:.3g}>"
 
 
 def _answer(found: Change) -> str:
     rate = f"False alarm rate {100 * found.alarm:g} %."
     if found.ended == NOTHING:
-        return f"No change found: {found.said} agree with the calibration of {found.robot}. {rate}"
+        return f"No change found: {found.judged.said} agree with the calibration of {found.judged.robot}. {rate}"
     if found.ended == ROWS:
         lines = numbered_lines(found.bad_lines)
-        return f"Look at {lines} first: without {_it(found)}, {found.said} show no change. {rate}"
+        return f"Look at {lines} first: without {_it(found)}, {found.judged.said} show no change. {rate}"
     if found.ended == CHANGED:
         (cause,) = found.causes
-        return f"Changed: {cause.called}, by {cause.amount}; {found.said}, {chance(found.p)}. {rate}"
-    start = f"Undecided: {found.said} do not agree with the calibration ({chance(found.p)})"
+        return f"Changed: {cause.called}, by {cause.amount}; {found.judged.said}, {chance(found.p)}. {rate}"
+    start = f"Undecided: {found.judged.said} do not agree with the calibration ({chance(found.p)})"
     if not found.causes:
         return f"{start}, and no known cause explains them. {rate}"
     if len(found.causes) == 1:
@@ -194,7 +195,7 @@ def _rests_on(found: Change) -> str:
     return (
         f"Smallest p of all tests {chance(found.p).split()[-1]}; alarm below {found.level:.2g}. All residuals: "
         f"chi-square {found.chi_square:.1f} with {found.freedom} degrees of freedom, {chance(found.p_all)}. "
-        f"{capital(found.fitted_words())}{f'; drift {drift}' if drift else ''}."
+        f"{capital(found.judged.fitted_words())}{f'; drift {drift}' if drift else ''}."
     )
 
 
@@ -221,7 +222,7 @@ def _next(found: Change) -> str:
         return f"measure {listed(rows)} again. If the reading stays, something has changed, or it was a false alarm."
     if len(found.causes) < 2:
         return (
-            f"casacal check PROBLEM {found.samples} looks for mistakes in these rows. If there are none, "
+            f"casacal check PROBLEM {found.judged.samples} looks for mistakes in these rows. If there are none, "
             "calibrate again with old and new rows."
         )
     if found.touches is None:

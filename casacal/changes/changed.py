@@ -90,7 +90,7 @@ def looked(
     found_from = {k: look.found_from(k) for k in joints}
     seen = [math.isfinite(found_from[k]) if k in found_from else look.seen(k) for k in range(len(look.causes))]
     change = Change(
-        **given.about(fresh, tuple(standing)),
+        given.judged(fresh, tuple(standing)),
         drift=tuple(sorted(drift.items())),
         alarm=float(alarm),
         p=first.smallest,

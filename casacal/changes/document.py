@@ -172,7 +172,7 @@ def _data(
         "fitted": len(samples),
         "fitted_rows": listed,
         "set_aside": 0,
-        "copies": len(found.copied_lines),
+        "copies": len(found.judged.copied_lines),
         "earlier": before,
     }
 
@@ -188,8 +188,8 @@ def _provenance(arm: CalibratedArm, found: Change, folder: Path | None) -> dict[
         "result": seen_from(folder, arm.file),
         "sha256": (old.get("seal") or {}).get("sha256"),
         "verdict": old["verdict"],
-        "rows": counted(found.rows, "row"),
-        "standing": found.standing,
+        "rows": counted(found.judged.rows, "row"),
+        "standing": found.judged.standing,
         "drift": dict(found.drift),
         "alarm": found.alarm,
         "p": found.p,

@@ -85,10 +85,11 @@ def _refuse(given: Opened, found: Change) -> None:
         raise CasacalError(f"{given.arm.file}: a result can be updated only by rows of its own instrument", fix)
     if found.ended == ROWS or found.bad_lines:
         lines = ", ".join(map(str, found.bad_lines))
-        raise CasacalError(f"{found.samples}: line {lines} is off, so nothing was updated", "Measure there again")
+        what = f"{found.judged.samples}: line {lines} is off, so nothing was updated"
+        raise CasacalError(what, "Measure there again")
     if found.ended == UNDECIDED:
         fix = "Do what casacal changed advises next, or calibrate again"
-        raise CasacalError(f"{found.samples}: these rows do not show what changed, so nothing was updated", fix)
+        raise CasacalError(f"{found.judged.samples}: these rows do not show what changed, so nothing was updated", fix)
 
 
 def _still(look: Look, found: Change) -> tuple[list[str], Any]:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from casacal.uncertainty.expectation import Box
 
 
-Value = TypeVar("Value")
+Read = TypeVar("Read")
 
 
 def add_adjustments(parser: argparse.ArgumentParser) -> None:
@@ -85,10 +85,10 @@ def numbers_of(option: str, settings: Sequence[str], form: str, example: str) ->
 
 
 def _read(
-    option: str, settings: Sequence[str], form: str, example: str, read: Callable[[str], Value]
-) -> dict[str, Value]:
+    option: str, settings: Sequence[str], form: str, example: str, read: Callable[[str], Read]
+) -> dict[str, Read]:
     """What stands by name after an option, read by a function that raises ValueError."""
-    found = dict[str, Value]()
+    found = dict[str, Read]()
     for setting in settings:
         name, _, value = setting.partition("=")
         if name.strip() in found:

@@ -64,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
         write_text(options.report, found.page())
     if options.into_report:
         beside = Path(result.file).with_name(REPORT)
-        write_text(beside, with_section(beside, result, found))
+        write_text(beside, with_section(beside, result, found.section()))
     if options.json:
         say_json(found.to_dict())
     else:

@@ -14,11 +14,10 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.doctor.axes import Axes
 
 Integers: TypeAlias = NDArray[np.int8]
-Index: TypeAlias = NDArray[np.intp]
 
 Option: TypeAlias = tuple[int, int, int, int]
 """Sign, quarter turns, partner (counted from 0; -1 for none), factor: one way to read one joint."""

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.doctor.axes import Axes, about
-from casacal.doctor.family import Family, Index, Products, joined, motions, readings
+from casacal.doctor.family import Family, Products, joined, motions, readings
 
 MATCHED_ROWS = 3  # rows, the most different ones, that are compared in the tree; the others are checked afterwards
 MOST, MOST_LEFT = 20_000, 4_000

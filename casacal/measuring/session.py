@@ -1,19 +1,30 @@
-"""A session at the machine, as a frozen value: touches made, and what may be answered."""
+"""A session at the machine, as a frozen value: touches made, what they tell, and what may be answered."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 from casacal.array_types import Array
-from casacal.errors import CasacalError, refuse_unknown
-from casacal.measuring.examine import Alarm, Suspected, refuse_along
-from casacal.measuring.standing import Standing
-from casacal.measuring.touch import Touch, columns_of, joints_of, labels_of
-from casacal.planning.route import FIT
+from casacal.errors import CasacalError, came, refuse_unknown
+from casacal.estimators.sckf import Belief
+from casacal.measuring.examine import Alarm, SessionSetting, SessionState, Suspected, refuse_along
+from casacal.measuring.known import Known, counts, known_before, places_of, telling
+from casacal.measuring.linear import POOL, Pool, chance_of, error_below, expected_error, innovations_at, spectrum
+from casacal.measuring.touch import Slip, Touch, columns_of, joints_of, labels_of, rows_of, slips_of
+from casacal.planning.choice import pool_of, refuse_several, wanted_field, wanted_joints
+from casacal.planning.clearance import Clearance
+from casacal.planning.route import CHECK, FIT, Route
+from casacal.problem.cell import Disturbances
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
+from casacal.uncertainty.expectation import Box
+from casacal.values import Value, is_real
 
 
-class Session(Standing):
+@dataclass(frozen=True, eq=False, repr=False)
+class Session(Value):
     """Touches of one instrument, taken in one by one by a square-root cubature Kalman filter.
 
     Args:
@@ -32,6 +43,34 @@ class Session(Standing):
     Raises CasacalError for a problem of several instruments and for a tolerance that is none.
 
     """
+
+    problem: Problem
+    plan: Route | None = None
+    tolerance: float | None = None
+    box: Box | None = None
+    targets: Array | None = None
+    cell: Disturbances | None = None
+    clearance: Clearance | None = None
+    best_first: bool = False
+    touches: tuple[Touch, ...] = ()
+    state: SessionState = field(default_factory=SessionState)
+    skipped: frozenset[int] = frozenset()
+
+    def __post_init__(self) -> None:
+        refuse_several(self.problem, "A session uses one instrument", "Give", self.box, self.targets)
+        if self.plan is not None and not isinstance(self.plan, Route):
+            raise CasacalError(f"Got {came(self.plan)} as the plan", "Give what plan() or read_route() returns")
+        if self.tolerance is not None and not (is_real(self.tolerance) and self.tolerance > 0):
+            raise CasacalError(f"Got {came(self.tolerance)} as the tolerance", "Give a positive number of mm")
+        object.__setattr__(self, "problem", self.problem.without_effects)  # some need columns that nobody types in
+
+    def __len__(self) -> int:
+        return len(self.touches)
+
+    def __repr__(self) -> str:
+        said = "" if self.alarm is None else f", touch {self.alarm.touch + 1} in doubt"
+        error = self.tip_error
+        return f"<Session of {len(self)} touches{said}: tip error {'unknown' if error is None else f'{error:.3g} mm'}>"
 
     def take(
         self,
@@ -103,6 +142,138 @@ class Session(Standing):
         made = tuple(touches)
         return self._after(made[:-1])._after(made, new=True) if made else self._after(made)
 
+    def next(self) -> Touch | None:
+        """The next touch of the plan, with the readings to expect; after the last one the best that could be made.
+
+        Where the best is to come first, it is the one of the plan that lowers the tip error most. None where enough has
+        been touched, and where all that was planned is and no tolerance asks for more. Raises SimulationError where no
+        further touch is found.
+        """
+        done = {touch.number for touch in self.touches} | self.skipped
+        left = [touch for touch in self._all_planned if touch.number not in done]
+        known = self.state.known
+        if self.done:
+            return None
+        if left:
+            # those to fit by what they tell, then the others in order
+            told = [touch for touch in left if touch.purpose == FIT and known is not None and known.knows(touch)]
+            if not self.best_first or known is None or self.field is None or not told:
+                return left[0]
+            return told[Pool.of(known, rows_of(told)).most_telling(known.covariance, self.field)]
+        if self.tolerance is None or known is None or self.field is None:
+            return None
+        return Touch.of(self._pool.samples, self._pool.most_telling(known.covariance, self.field))
+
+    def needed(self) -> int | None:
+        """How many more well-chosen touches the tolerance takes; None where there is none, or 200 are not enough."""
+        known = self.state.known
+        if self.tolerance is None or known is None or self.field is None:
+            return None
+        return self._pool.needed(known, self.field, self.tolerance)
+
+    def shown(self, k: int) -> int:
+        """The number by which people know a touch: the plan's, and beyond it the numbers that follow."""
+        number = self.touches[k].number
+        if number is not None:
+            return number
+        return len(self._all_planned) + sum(touch.number is None for touch in self.touches[: k + 1])
+
+    def planned(self, number: int | None) -> Touch | None:
+        """A touch of the plan by its number; raises CasacalError for one that there is not."""
+        if number is None:
+            return None
+        if not 1 <= number <= len(self._all_planned):
+            there = "there is no plan" if self.plan is None else f"the plan has 1 to {len(self.plan)}"
+            raise CasacalError(f"Touch {number} of the plan was named, and {there}", "Leave the number out")
+        return self._all_planned[number - 1]
+
+    @property
+    def alarm(self) -> Alarm | None:
+        """Which touch does not agree with the others, and what would explain it; None where all agree."""
+        return self.state.alarm
+
+    @cached_property
+    def known(self) -> Known | None:
+        """What the touches tell, or the plan before any; None where there is neither."""
+        setting = self._setting
+        if self.state.known is not None or setting.planned is None:
+            return self.state.known
+        return known_before(self.problem, setting.planned, setting.places)
+
+    @property
+    def too_few(self) -> tuple[str, ...]:
+        """Faces and the like that were touched, but too seldom to say where they stand, by name."""
+        fit = [touch for touch in self.touches if touch.purpose != CHECK]
+        return tuple(name for name, enough in counts(self.problem, rows_of(fit)).items() if not enough) if fit else ()
+
+    @property
+    def waiting(self) -> tuple[int, ...]:
+        """Touches, counted from 0, of faces of which nobody knows where they stand until there are more of them."""
+        return self.state.waiting
+
+    @property
+    def belief(self) -> Belief | None:
+        """Mean (n,) and lower triangular root (n, n) of the covariance, mm and rad, named by `names`; None at first."""
+        if (known := self.state.known) is None:
+            return None
+        return Belief(known.x, known.bound.start_std[:, None] * known.belief.root)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the belief is about."""
+        return () if self.state.known is None else self.state.known.bound.names
+
+    @property
+    def noise(self) -> float:
+        """Noise that the touches show over what was stated; one where they do not speak against it."""
+        return 1.0 if self.state.known is None else self.state.known.factor
+
+    @property
+    def tip_error(self) -> float | None:
+        """Tip error to expect where it is wanted, mm RMS, apart from the base's position; None before any touch."""
+        return None if self.weights is None else expected_error(self.weights)
+
+    @property
+    def tip_error_below(self) -> float | None:
+        """Below which the tip error is 19 times of 20, mm RMS, if priors and the form of the model are right."""
+        return None if self.weights is None else error_below(self.weights)
+
+    @property
+    def done(self) -> bool:
+        """Whether the tolerance is met: 19 times of 20 the tip error is below it, and nothing is in doubt."""
+        below = self.tip_error_below
+        return self.tolerance is not None and below is not None and self.alarm is None and below <= self.tolerance
+
+    def checked(self) -> tuple[Array, Array] | None:
+        """By how much touches kept for checking are off, and its standard deviation (touches, m), mm, or None."""
+        known, kept = self.state.known, self._kept
+        return None if known is None or not kept else innovations_at(known, kept)
+
+    def checked_chance(self) -> float:
+        """Chance that they are together so far off if all is well; one where there are none."""
+        known, kept = self.state.known, self._kept
+        return 1.0 if known is None or not kept else chance_of(known, kept)
+
+    @property
+    def _kept(self) -> list[Touch]:
+        """Touches kept for checking of which something is known."""
+        known, of_check = self.state.known, (touch for touch in self.touches if touch.purpose == CHECK)
+        return [touch for touch in of_check if known is not None and known.knows(touch)]
+
+    @cached_property
+    def field(self) -> Array | None:
+        """Moves (3 M, n) of the tip where it is wanted, per unit of the belief."""
+        if self.state.known is None:
+            return None
+        bound = self.state.known.bound
+        return wanted_field(bound, bound.x0, wanted_joints(bound, self.box, self.targets))
+
+    @cached_property
+    def weights(self) -> Array | None:
+        """Of the squared tip error as a sum of squares of unit normals, mm^2."""
+        known = self.state.known
+        return None if known is None or self.field is None else spectrum(known.belief.root, self.field)
+
     def _after(self, touches: tuple[Touch, ...], *, new: bool = False) -> Session:
         """The session with these touches; `new` says that the last one has just come."""
         state = self._setting.state(touches, lambda k: self._slips(touches, k), self.state.known, new=new)
@@ -118,3 +289,34 @@ class Session(Standing):
         if self.alarm is None:
             raise CasacalError("No touch is in doubt", "Answer when there is an alarm")
         return self.alarm
+
+    def _slips(self, touches: Sequence[Touch], k: int) -> list[Slip]:
+        every = (*touches, *self._all_planned)
+        labels = {name: tuple(dict.fromkeys(each.labels[name] for each in every)) for name in touches[k].labels}
+        return slips_of(self.problem, touches[k], self.planned(touches[k].number), labels)
+
+    @cached_property
+    def _pool(self) -> Pool:
+        assert self.state.known is not None
+        return Pool.of(self.state.known, self._could)
+
+    @cached_property
+    def _could(self) -> Samples:
+        return pool_of(self.problem, self.cell, POOL, 7, self.clearance)
+
+    @cached_property
+    def _setting(self) -> SessionSetting:
+        if self.plan is None:
+            return SessionSetting(self.problem, None, {})
+        told = telling(self.problem, self.plan.samples, {})
+        if not told:  # faces that are planned too seldom have no place
+            return SessionSetting(self.problem, None, {})
+        placed = self.plan.samples.take(told)
+        return SessionSetting(self.problem, placed, places_of(self.problem, placed))
+
+    @cached_property
+    def _all_planned(self) -> tuple[Touch, ...]:
+        if self.plan is None:
+            return ()
+        samples = self.plan.samples
+        return tuple(Touch.of(samples, k, k + 1, purpose) for k, purpose in enumerate(self.plan.purposes))

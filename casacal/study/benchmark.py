@@ -19,9 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.marginal import bind_further, extended
 from casacal.errors import CasacalError, UnknownNameError, refuse_unknown
@@ -35,8 +34,6 @@ from casacal.study.study_file import names_of
 from casacal.tables.columns import Labels
 from casacal.uncertainty.transfer import REGIONS, splits
 from casacal.values import FrozenMapping
-
-Rows = NDArray[np.intp]
 
 DESCRIPTION, METHODS = "set.toml", "methods.py"
 METRICS = ("distance", "position", "rms")
@@ -133,7 +130,7 @@ def read_set(folder: str | Path) -> BenchmarkSet:
     return BenchmarkSet(place.resolve().name, place.as_posix(), **parts, stated=FrozenMapping(stated), published=found)
 
 
-def folds(samples: Samples, kind: str, blocks: str, stated: Mapping[str, Any]) -> list[tuple[Rows, Rows]]:
+def folds(samples: Samples, kind: str, blocks: str, stated: Mapping[str, Any]) -> list[tuple[Index, Index]]:
     """Rows to fit and rows that are not seen, fold by fold: "stated", "random" or "blocked".
 
     stated: {"part": 0.3, "seed": 0}, the last of a permutation, of so many "rows" of it where these are said;
@@ -151,12 +148,12 @@ def folds(samples: Samples, kind: str, blocks: str, stated: Mapping[str, Any]) -
     return [(np.setdiff1d(rows, part), np.sort(part)) for part in unseen]
 
 
-def _stated(samples: Samples, stated: Mapping[str, Any]) -> tuple[Rows, list[Rows]]:
+def _stated(samples: Samples, stated: Mapping[str, Any]) -> tuple[Index, list[Index]]:
     """The rows that take part, and the unseen ones of each fold."""
     seed, needed = stated.get("seed", 0), stated.get("rows", 2)
     if not all(type(number) is int and number >= least for number, least in ((seed, 0), (needed, 2))):
         raise _no_split(stated, samples.file)
-    order, unseen = np.random.default_rng(seed).permutation(len(samples)), list[Rows]()
+    order, unseen = np.random.default_rng(seed).permutation(len(samples)), list[Index]()
     match {key: value for key, value in stated.items() if key not in ("seed", "rows")}:
         case {"part": float(part), **others} if 0 < part < 1 and not others:
             order = order[: stated.get("rows")]
@@ -180,7 +177,7 @@ def _no_split(stated: object, place: str) -> CasacalError:
     return CasacalError(f"The stated split of {place} is {told}", f"Use a table with {ways}")
 
 
-def _blocks(samples: Samples, blocks: str) -> list[Rows]:
+def _blocks(samples: Samples, blocks: str) -> list[Index]:
     if blocks == "order":
         return np.array_split(np.arange(len(samples)), FOLDS)
     if blocks == "regions":

@@ -27,7 +27,7 @@ MOST_PLACES = 20_000_000
 ERRORS = ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A")
 """What a sheet shows where it could not calculate; these are no comments."""
 
-Rows = list[tuple[int, list[str]]]
+NumberedRows = list[tuple[int, list[str]]]
 
 
 def read_workbook(path: str | Path) -> Table:
@@ -68,7 +68,7 @@ def _check_tags(path: Path, file: str) -> None:
             raise SamplesError(file, what, "Save the samples as CSV")
 
 
-def _first_sheet(book: Any, file: str) -> tuple[str, Rows, Comments]:
+def _first_sheet(book: Any, file: str) -> tuple[str, NumberedRows, Comments]:
     """Cells of the first visible sheet as text and those of comments; the file with the sheet's name if it has more."""
     sheets = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"]
     if not sheets:
@@ -81,7 +81,7 @@ def _first_sheet(book: Any, file: str) -> tuple[str, Rows, Comments]:
     with book._archive.open(sheet._worksheet_path) as stream:  # the library passes over what it does not show
         hidden = _hidden_rows(stream, file)
     sheet.reset_dimensions()  # they may be wrong
-    rows: Rows = []
+    rows: NumberedRows = []
     comments: Comments = []
     for number, cells in _filled(sheet, file):
         if cells[0].startswith("#") and cells[0] not in ERRORS:

@@ -26,7 +26,6 @@ from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm
 from casacal.uncertainty.fresh_rows import spanned
 from casacal.verification.decision import Scatter
-from casacal.verification.figures import ErrorInterval, PartError
 from casacal.verification.fresh import Fresh, guesses
 
 USUAL, AS_ROWS = 5.0, 20.0
@@ -40,6 +39,31 @@ BEYOND = 0.025  # chance that the error lies beyond either end of its interval
 FEWEST = 12  # rows of a part that are told with an interval of their own
 NARROW = 0.25  # part of the longest side of the volume below which another side is not divided
 ROUND = 10.0  # multiple of mm at which the volume is divided
+
+
+@dataclass(frozen=True)
+class ErrorInterval:
+    """An RMS error, mm, and between what it lies with a chance of 95 %."""
+
+    mm: float
+    low_mm: float
+    high_mm: float
+
+
+@dataclass(frozen=True)
+class PartError:
+    """The arm's error in what its instrument sees, in some of the rows.
+
+    kind: "all", "face" or "region". label: which one. rows: how many. before, after: of the arm as drawn and as
+    calibrated, the instrument's own noise taken off. promised_mm: what the calibration expects of it, RMS.
+    """
+
+    kind: str
+    label: str
+    rows: int
+    before: ErrorInterval
+    after: ErrorInterval
+    promised_mm: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from typing import Literal, TypeAlias
 
 from scipy.special import gammainc, gammainccinv, gammaincinv
 
-Verdict: TypeAlias = Literal["accept", "reject", "undecided"]
+Conformity: TypeAlias = Literal["accept", "reject", "undecided"]
 
 RISK = 0.05  # chance of a wrong decision of an arm at the tolerance, unless another is asked for
 POWER = 0.8  # chance with which so many more rows as are named settle it
@@ -94,7 +94,7 @@ class Decision:
     rests_on_noise: whether it is accepted for the noise that was taken off, and would not be without.
     """
 
-    verdict: Verdict
+    verdict: Conformity
     tolerance_mm: float
     risk: float
     measured_mm: float
@@ -124,7 +124,7 @@ def decide(scatter: Scatter, given: float, tolerance: float, risk: float) -> Dec
     """
     accept, reject = scatter.accept_below_mm(tolerance, risk), scatter.reject_above_mm(tolerance, risk)
     measured = scatter.measured_mm
-    verdict: Verdict = "accept" if measured <= accept else "reject" if measured >= reject else "undecided"
+    verdict: Conformity = "accept" if measured <= accept else "reject" if measured >= reject else "undecided"
     further = _further(scatter, given, tolerance, risk) if verdict == "undecided" else None
     rests = verdict == "accept" and replace(scatter, noise=0.0).upper_mm(risk) > tolerance
     within = scatter.conformance(tolerance)

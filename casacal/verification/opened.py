@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from casacal.compensation.result_file import read_result
 from casacal.compensation.seen_by import seen_by
 from casacal.compensation.told import NOTHING, TellingColumns
 from casacal.errors import CasacalError, SamplesError, came
+from casacal.files import jsonable
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
 from casacal.robots.joint_space import random_joints
@@ -25,11 +26,66 @@ from casacal.robots.robot import Robot
 from casacal.samples.repeats import copies, fitted_among, in_fitted_postures
 from casacal.samples.samples import Samples
 from casacal.verification.fresh import Fresh, fresh_rows
-from casacal.wording import listed
+from casacal.wording import counted, listed
 
 SAME = 1e-6  # difference (mm; of a rotation's elements) of two poses below which arms are one
 COMPARED = 8  # random joint values at which they are compared
 SPENT = 0.5  # part of the rows that are those of the calibration, from which on they verify nothing
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Fresh rows and the calibration that they are held against.
+
+    robot, result, verdict: which calibration, and what it said of itself (level and words; empty for a truth).
+    samples, sha256, rows: which rows, and how many. own: unknowns that these rows alone know, fitted to them.
+    standing: what was said to stand where it was calibrated. copied_lines, fitted_lines: rows that were left out:
+    copies of others among them, and those that the arm was calibrated from. remarks: sentences on rows in
+    postures that were fitted, and on columns that tell effects and are far from what they were in the fitted rows.
+    """
+
+    robot: str
+    result: str
+    verdict: tuple[str, str]
+    samples: str
+    sha256: str
+    rows: int
+    own: tuple[str, ...]
+    standing: tuple[str, ...]
+    copied_lines: tuple[int, ...]
+    fitted_lines: tuple[int, ...]
+    remarks: tuple[str, ...]
+
+    @property
+    def said(self) -> str:
+        """The rows in a sentence."""
+        return f"{counted(self.rows, 'fresh row')} of {self.samples}"
+
+    @property
+    def own_verdict(self) -> list[str]:
+        """What the result says of itself, where that is not the best; a sentence, or none."""
+        level, words = self.verdict
+        return [] if level in ("", "calibrated") else [f"The result's own verdict: {words}"]
+
+    def left_out(self, copied: str, fitted: str) -> list[str]:
+        """Rows that do not count, a sentence for each reason: `copied`, `fitted`, with {} for the rows' file."""
+        found = ((self.copied_lines, copied), (self.fitted_lines, fitted))
+        return [f"{counted(len(lines))} {why.format(self.samples)}." for lines, why in found if lines]
+
+    def fitted_words(self, names: str = "") -> str:
+        """What was fitted to these rows and what was taken to stand, as clauses; `names` of what was fitted."""
+        own = f"{counted(len(self.own), 'unknown')} fitted to these rows{names}"
+        still = f"; assumed not to have moved: {', '.join(self.standing)}" if self.standing else ""
+        return (own if self.own else "nothing fitted to these rows") + still
+
+    def document(self, first: Mapping[str, Any], found: Any, instead: Mapping[str, Any]) -> dict[str, Any]:
+        """What was found of them, a dataclass, in JSON's own types after what comes first; some in another form."""
+        level, words = self.verdict
+        rows = {each.name: getattr(self, each.name) for each in fields(self)}
+        rows["verdict"] = {"level": level, "words": words} if level else None
+        last = {name: rows.pop(name) for name in ("copied_lines", "fitted_lines", "remarks")}
+        figures = {each.name: getattr(found, each.name) for each in fields(found) if each.name != "judged"}
+        return dict(jsonable({**first, **rows, **figures, **instead, **last}))
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,22 +123,22 @@ class Opened:
             return math.inf
         return 0.5 / (math.log(noise.high / noise.low) / (2 * 1.96)) ** 2
 
-    def about(self, fresh: Fresh, standing: tuple[str, ...]) -> dict[str, Any]:
-        """The fields of `Judged`."""
+    def judged(self, fresh: Fresh, standing: tuple[str, ...]) -> Judged:
+        """These rows, bound to the arm, with what was said to stand."""
         verdict = self.arm.found.verdict
-        return {
-            "robot": self.source.problem.robot.name,
-            "result": self.arm.file,
-            "verdict": ("", "") if verdict is None else (verdict.level, verdict.words),
-            "samples": self.rows.file,
-            "sha256": self.rows.sha256,
-            "rows": len(self.rows),
-            "own": fresh.own_names,
-            "standing": standing,
-            "copied_lines": self.copied,
-            "fitted_lines": self.fitted,
-            "remarks": self.remarks,
-        }
+        return Judged(
+            self.source.problem.robot.name,
+            self.arm.file,
+            ("", "") if verdict is None else (verdict.level, verdict.words),
+            self.rows.file,
+            self.rows.sha256,
+            len(self.rows),
+            fresh.own_names,
+            standing,
+            self.copied,
+            self.fitted,
+            self.remarks,
+        )
 
 
 def opened(

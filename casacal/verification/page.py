@@ -1,20 +1,20 @@
-"""The page of a verification, by itself or as a section of the calibration's own report, with its picture."""
+"""The arm's error on the page of a verification: boxes, table, picture; and the section's place in another report."""
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from markupsafe import Markup
 
 from casacal.compensation.arm import CalibratedArm
 from casacal.errors import CasacalError
 from casacal.pages.drawing import Panel, figure, number, picture, tag
-from casacal.pages.render import fixed, mm, rendered, shortened
-from casacal.verification.figures import ErrorInterval, Figures
-from casacal.verification.sentences import decision_told, measurand, told
+from casacal.pages.render import fixed, mm, shortened
+from casacal.verification.arm_error import ErrorInterval, PartError
+from casacal.verification.decision import Decision
 
 LONGEST = 60  # characters of a label in a table
 BEFORE = '<section id="measured"'  # where the section is put
@@ -24,13 +24,7 @@ REPORT = "report.html"
 NAMES = {"all": "", "face": "face ", "region": "tip at "}
 
 
-def verification_page(found: Figures) -> str:
-    """HTML of all that was found."""
-    title = f"Verification of {found.robot} ({found.samples})"
-    return rendered("verification.html", {"title": title, "part_of_report": False, **_context(found)})
-
-
-def with_section(path: Path, arm: CalibratedArm, found: Figures) -> str:
+def with_section(path: Path, arm: CalibratedArm, section: str) -> str:
     """The text of a calibration's report with the section of a verification.
 
     arm: the result that the report is of. Raises CasacalError where there is no such report, or it is of
@@ -44,47 +38,24 @@ def with_section(path: Path, arm: CalibratedArm, found: Figures) -> str:
     marks = [arm.source.sha256, arm.found.data.sha256]
     if "<title>Calibration of" not in text or text.count(BEFORE) != 1 or not all(mark in text for mark in marks):
         raise CasacalError(f"'{path}' is not the report of this result", "Write a separate page: --report FILE")
-    section = rendered("verified.html", {"part_of_report": True, **_context(found)})
     return STANDING.sub("", text).replace(BEFORE, f"{section.strip()}\n{BEFORE}")
 
 
-def _context(found: Figures) -> dict[str, Any]:
-    """What the templates show."""
-    undecided = found.kept and found.decision is not None and found.decision.verdict == "undecided"
-    errors = []
-    for part in found.errors:
+def error_rows(errors: Sequence[PartError]) -> list[list[str]]:
+    """Rows of a table: the error of each part as drawn and as calibrated, with intervals, and what was promised."""
+    rows = []
+    for part in errors:
         each = [cell for error in (part.before, part.after) for cell in (fixed(error.mm), _between(error))]
         label = shortened(NAMES[part.kind] + part.label, LONGEST)
-        errors.append([label, f"{part.rows:,}", *each, fixed(part.promised_mm)])
-    faces = []
-    for face in found.faces:
-        sizes = map(fixed, (face.before_mm, face.after_mm, face.predicted_mm))
-        faces.append([shortened(face.label, LONGEST), f"{face.rows:,}", *sizes, f"{face.p:.2g}"])
-    return {
-        "found": found,
-        "told": told(found),
-        "decision": decision_told(found),
-        "measurand": measurand(found),
-        # a result whose own verdict denies it looks no better for rows that agree with it
-        "look": "bad" if found.denied else "good" if found.passed else "care" if undecided else "bad",
-        "rows": [
-            ("Fresh rows", f"{found.samples}: {found.rows:,}"),
-            ("SHA-256 of the rows", Markup("<code>{}</code>").format(found.sha256)),
-            ("Fitted to these rows", shortened(", ".join(found.own), 200) or "nothing"),
-            ("Assumed not to have moved", ", ".join(found.standing) or "nothing"),
-        ],
-        "overall": _boxes(found),
-        "picture": None if found.overall is None else _picture(found),
-        "errors": errors,
-        "faces": faces,
-    }
+        rows.append([label, f"{part.rows:,}", *each, fixed(part.promised_mm)])
+    return rows
 
 
-def _boxes(found: Figures) -> list[tuple[str, str, str]]:
-    part, decision = found.overall, found.decision
+def boxes(part: PartError | None, decision: Decision | None) -> list[tuple[str, str, str]]:
+    """The figures that stand first: title, value and what explains it; none where the rows say nothing of the arm."""
     if part is None:
         return []
-    boxes = [
+    shown = [
         ("Error as drawn", mm(part.before.mm, 4), f"{_between(part.before)} mm"),
         ("Error as calibrated", mm(part.after.mm, 4), f"{_between(part.after)} mm"),
         ("Promised", mm(part.promised_mm, 4), "what the calibration expects, RMS"),
@@ -93,8 +64,8 @@ def _boxes(found: Figures) -> list[tuple[str, str, str]]:
         limit = "noise hides it"
         if not math.isnan(decision.accept_below_mm):
             limit = f"accepted up to {mm(decision.accept_below_mm, 4)}"
-        boxes.append(("Tolerance", f"{decision.tolerance_mm:g} mm", f"{decision.verdict}; {limit}"))
-    return boxes
+        shown.append(("Tolerance", f"{decision.tolerance_mm:g} mm", f"{decision.verdict}; {limit}"))
+    return shown
 
 
 def _between(error: ErrorInterval) -> str:
@@ -107,11 +78,11 @@ DECADES = 5  # powers of ten that the axis spans at most
 GREY, BLUE, ORANGE, INK = "#8b949f", "#1d5f9e", "#c2560c", "#1b2330"
 
 
-def _picture(found: Figures) -> Markup:
+def errors_picture(errors: Sequence[PartError], decision: Decision | None) -> Markup:
     """Error before and after: two intervals for each part, what was promised, and the tolerance, logarithmically."""
-    parts = found.errors[:MOST]
+    parts = errors[:MOST]
     height = TOP + BOTTOM + EACH * len(parts)
-    panel = Panel(_span(found), (0.0, 1.0), height, left=24.0, right=24.0, top=TOP, bottom=BOTTOM)
+    panel = Panel(_span(errors, decision), (0.0, 1.0), height, left=24.0, right=24.0, top=TOP, bottom=BOTTOM)
     drawn = [_axis(panel)]
     for k, part in enumerate(parts):
         y = TOP + EACH * k
@@ -120,11 +91,11 @@ def _picture(found: Figures) -> Markup:
         drawn += [_interval(panel, part.before, y + 20, GREY), _interval(panel, part.after, y + 30, BLUE)]
         if part.promised_mm > 0 and math.isfinite(part.promised_mm):
             drawn.append(_upright(panel, part.promised_mm, y + 25, y + 35, INK))
-    if found.decision is not None:
-        drawn.append(_upright(panel, found.decision.tolerance_mm, TOP, height - BOTTOM, ORANGE))
+    if decision is not None:
+        drawn.append(_upright(panel, decision.tolerance_mm, TOP, height - BOTTOM, ORANGE))
     says = "; ".join(f"{part.label}: {part.before.mm:.4f} before, {part.after.mm:.4f} after" for part in parts)
-    more = "" if len(found.errors) <= MOST else f" {len(found.errors) - MOST} more stand in the table."
-    tolerance = "" if found.decision is None else " The orange line is the tolerance."
+    more = "" if len(errors) <= MOST else f" {len(errors) - MOST} more stand in the table."
+    tolerance = "" if decision is None else " The orange line is the tolerance."
     return figure(
         "Error of the arm as drawn (grey) and as calibrated (blue), RMS, with intervals of 95 %; one that reaches the "
         f"left edge reaches zero. Dark strokes are what the calibration promised.{tolerance}{more}",
@@ -132,12 +103,12 @@ def _picture(found: Figures) -> Markup:
     )
 
 
-def _span(found: Figures) -> tuple[float, float]:
+def _span(errors: Sequence[PartError], decision: Decision | None) -> tuple[float, float]:
     """Powers of ten between which all lie that can be shown."""
-    errors = [error for part in found.errors for error in (part.before, part.after)]
-    values = [value for error in errors for value in (error.mm, error.low_mm, error.high_mm)]
-    values += [part.promised_mm for part in found.errors]
-    values += [] if found.decision is None else [found.decision.tolerance_mm]
+    each = [error for part in errors for error in (part.before, part.after)]
+    values = [value for error in each for value in (error.mm, error.low_mm, error.high_mm)]
+    values += [part.promised_mm for part in errors]
+    values += [] if decision is None else [decision.tolerance_mm]
     shown = [value for value in values if 0 < value < math.inf] or [1.0]
     high = math.ceil(math.log10(max(shown)) + 1e-9)
     low = max(math.floor(math.log10(min(shown)) - 1e-9), high - DECADES)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import asdict, replace
-from html import escape
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,48 +25,11 @@ from casacal.uncertainty.workspace import tip_rms, tip_stds, without_rigid, work
 from casacal.values import is_real
 from casacal.verification.arm_error import errors_by_part, seen_by_rows
 from casacal.verification.decision import RISK, Decision, decide
-from casacal.verification.figures import LEVEL, FaceVerification, Figures
 from casacal.verification.fresh import Fresh
 from casacal.verification.opened import Opened, opened
-from casacal.verification.page import verification_page
-from casacal.verification.sentences import told
+from casacal.verification.verification import LEVEL, FaceVerification, Verification
 
 LEAST_RISK = 1e-4  # risk below which nobody knows the noise well enough
-
-
-class Verification(Figures):
-    """What `verify` returns: whether the promise was kept, with every figure behind it."""
-
-    def summary(self, *, whole: bool = True) -> str:
-        """What `casacal verify --verbose` prints, or without `whole` what it prints at first: a paragraph each line."""
-        return "\n".join(told(self, whole=whole))
-
-    def to_dict(self) -> dict[str, Any]:
-        """All of it in JSON's own types, as `casacal verify --json` prints it."""
-        instead: dict[str, Any] = {name: [asdict(part) for part in getattr(self, name)] for name in ("faces", "errors")}
-        if self.decision is not None:
-            instead["decision"] = {
-                **asdict(self.decision),
-                "guard_mm": self.decision.guard_mm,
-                "guard_of_rejection_mm": self.decision.guard_of_rejection_mm,
-                "rule": "JCGM 106:2012, guarded acceptance and guarded rejection",
-            }
-        if self.denied or not self.kept:  # no figure of accuracy beside a verdict that denies it
-            instead["promised_tip_mm"] = instead["hidden_tip_mm"] = math.nan
-        return self.document({"kept": self.kept, "passed": self.passed}, instead)
-
-    def page(self) -> str:
-        """HTML of a page that needs no other file, no network and no script: what `casacal verify --report` writes."""
-        return verification_page(self)
-
-    def __repr__(self) -> str:
-        said = "kept" if self.kept else "not kept"
-        p = min(self.p, self.arm_p)
-        return f"<Verification of {self.robot} by {self.rows} fresh rows: promise {said}, p {p:.3g}>"
-
-    def _repr_html_(self) -> str:
-        """What `summary` says: what a notebook shows."""
-        return "".join(f"<p>{escape(words)}</p>" for words in told(self, whole=False))
 
 
 def verify(
@@ -140,7 +102,7 @@ def _judged(given: Opened, standing: tuple[str, ...], tolerance: float | None, r
     noise, most, stated = seen_rows.noises_mm()
     promised, hidden = _tips(fresh)
     return Verification(
-        **given.about(fresh, standing),
+        given.judged(fresh, standing),
         before_mm=rms(sizes[0]),
         after_mm=rms(sizes[1]),
         predicted_mm=rms(sizes[2]),
