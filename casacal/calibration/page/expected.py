@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,7 +35,7 @@ CAPTIONS = {
 }
 
 
-def expected_error(each: Sequence[Touches], document: Mapping[str, Any], box: Box | None) -> dict[str, Any]:
+def expected_error(each: Sequence[Touches], box: Box | None) -> dict[str, Any]:
     """Rows of the table of figures, the largest correction, and maps of error and correction from two sides."""
     calibration = each[0].calibration
     workspace = Workspace.of(calibration)
@@ -46,12 +46,11 @@ def expected_error(each: Sequence[Touches], document: Mapping[str, Any], box: Bo
     ]
     marks = np.vstack([np.zeros((0, 3)), *(places.tips for places in faces if places is not None)])
     moved, worst = tip_extremes(calibration.motion, calibration.workspace)
-    tip = document["tip"]
-    unseen = f", {count(tip['unseen'], 'direction')} unseen" if tip["unseen"] else ""
-    alone = tip["without_prior_rms_mm"]  # one of a metre bounds nothing
+    (before, now), (alone, missed) = calibration.tip_std, calibration.tip_std_without_prior
+    unseen = f", {count(missed, 'direction')} unseen" if missed else ""
     rows = [
-        ["Before: priors alone", mm(tip["prior_rms_mm"]), "–"],
-        ["After: samples and priors", mm(tip["expected_rms_mm"]), mm(worst)],
+        ["Before: priors alone", mm(before), "–"],
+        ["After: samples and priors", mm(now), mm(worst)],
         [f"Samples alone, without priors{unseen}", mm(alone) if alone < METRE else "unbounded", "–"],
     ]
     if box is not None:

@@ -17,7 +17,7 @@ SHOWN = 10  # rows listed
 LARGE = 4.0  # whitened residual beyond which fewer than one in ten thousand good rows lie
 
 
-def measured(touches: Touches, document: Mapping[str, Any]) -> dict[str, Any]:
+def measured(touches: Touches, planes: Mapping[str, Any]) -> dict[str, Any]:
     """Rows by face, and where the faces are, of one instrument: its tables and a note."""
     if not touches.has_faces:
         return {"name": touches.name, "tables": _columns(touches), "note": ""}
@@ -25,13 +25,13 @@ def measured(touches: Touches, document: Mapping[str, Any]) -> dict[str, Any]:
     beyond = len(touches.faces) - MOST_FACES
     more = f" {count(beyond, 'further one')} are in result.json." if beyond > 0 else ""
     titles = [capital(instrument.words.group), "#Rows", "#Held out"]
-    planes = {name for label in touches.faces for name in _plane_names(touches.name, label)} & set(document["planes"])
-    if instrument.probe is None and not planes:
+    named = {name for label in touches.faces for name in _plane_names(touches.name, label)}
+    if instrument.probe is None and not named & set(planes):
         rows = [_face(touches, label, {})[: len(titles)] for label in faces]
         own = _table(touches, "faces", f"Rows of each {instrument.words.group}", titles, rows)
         return {"name": touches.name, "tables": [own, *_columns(touches)], "note": more}
     titles += ["#Dial reading, mm", "#Tilt, deg", "#Touched area, mm", "#Normal", "#Point on it, mm"]
-    rows = [_face(touches, label, document["planes"]) for label in faces]
+    rows = [_face(touches, label, planes) for label in faces]
     notes = "Tilt is the angle between plunger and face normal. Normal and point are as found, in the base frame."
     if max(len(part.rows_of(label)) for part in touches.parts for label in faces) > LOOKED_AT:
         notes += f" Tilt and area are of up to {LOOKED_AT:,} rows per face, evenly spread."

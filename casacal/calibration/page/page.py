@@ -10,10 +10,13 @@ from markupsafe import Markup
 
 from casacal.calibration import tables
 from casacal.calibration.calibration import Calibration
+from casacal.calibration.motion import Tried
 from casacal.calibration.page.expected import expected_error
 from casacal.calibration.page.measured import measured, worst_rows
 from casacal.calibration.page.residual_pictures import face_maps, histograms, row_plots
 from casacal.calibration.page.touches import Touches
+from casacal.calibration.result_parts import closing as closing_part
+from casacal.calibration.result_parts import geometry, noise_part, parameter_rows
 from casacal.calibration.told import verdict_lines
 from casacal.calibration.verdict import verdict_of
 from casacal.compensation.result import Level
@@ -37,14 +40,13 @@ def report_page(
     reproduces it, as typed, if there was one. box: where the arm will work, mm in the base frame.
     """
     each = tuple(Touches.of(calibration, i) for i in range(len(calibration.fit.samples)))
-    problem, data = calibration.fit.problem, document["data"]
-    denied = document["verdict"]["level"] == "do not use"
-    aside = [f"{data['set_aside']:,} set aside"] if data["set_aside"] else []
-    aside += [f"{data['copies']:,} {'copy' if data['copies'] == 1 else 'copies'} left out"] if data["copies"] else []
+    problem, denied = calibration.fit.problem, verdict_of(calibration).level == "do not use"
+    noise, closing = noise_part(calibration.unjudged), closing_part(calibration.result, calibration.seconds)
+    planes = geometry(calibration.fit, calibration.used_x)["planes"]
     parameters, held = tables.parameters(calibration)
     costly, harmless = tables.directions(calibration)
     context = {
-        "title": f"Calibration of {problem.robot.name} ({document['problem']['name']})",
+        "title": f"Calibration of {problem.robot.name} ({calibration.source.name})",
         "document": document,
         "robot": problem.robot.name,
         "said": problem.words,
@@ -55,21 +57,19 @@ def report_page(
         "command": command,
         "code": lambda value: Markup("<code>{}</code>").format(value),
         "numbered": lambda lines: numbered_lines(lines, LINES),
-        "counts": [f"{data['fitted']:,} fitted", f"{data['heldout']:,} held out", *aside],
+        **_counts(calibration),
         "unknowns": f"{calibration.fit.unknowns:,}",
         **_verdict(calibration),
-        "figures": _figures(calibration, document),
-        "aside": aside,
-        "together": "" if data["heldout_by"] == "rows" or not data["heldout"] else f" by {data['heldout_by']}",
-        "measured": [measured(touches, document) for touches in each],
+        "figures": _figures(calibration),
+        "measured": [measured(touches, planes) for touches in each],
         "residuals": tables.residuals(calibration),
         "left_out": tables.left_out(calibration),
-        "noise": document["noise"],
-        "noise_words": _noise(calibration, document["noise"]),
+        "noise": noise,
+        "noise_words": _noise(calibration, noise),
         "pictures": [
             {"name": t.name, "histograms": histograms(t), "rows": row_plots(t), "faces": face_maps(t)} for t in each
         ],
-        "expected": None if denied else expected_error(each, document, box),
+        "expected": None if denied else expected_error(each, box),
         "parameters": parameters if denied else replace(parameters, rows=[_marked(row) for row in parameters.rows]),
         "held": held,
         "correlations": None if denied else tables.correlations(calibration),
@@ -77,14 +77,25 @@ def report_page(
         "directions": costly,
         "harmless": harmless,
         "effects": tables.effects(calibration),
-        "tried": _tried(document["discrepancy"]),
+        "tried": _tried(calibration.tried),
         "very_strong": f"{VERY_STRONG:g}",
         "worst": worst_rows(each),
         "lines_aside": calibration.aside_lines,
-        "versions": ", ".join(f"{name} {version}" for name, version in document["versions"].items()),
-        "seconds": ", ".join(f"{name} {value:.2f} s" for name, value in document["seconds"].items()),
+        "versions": ", ".join(f"{name} {version}" for name, version in closing["versions"].items()),
+        "seconds": ", ".join(f"{name} {value:.2f} s" for name, value in closing["seconds"].items()),
     }
     return rendered("report.html", context)
+
+
+def _counts(calibration: Calibration) -> dict[str, Any]:
+    """How many rows were fitted, held out, set aside and left out, and what was held out together."""
+    kept = 0 if calibration.heldout is None else len(calibration.heldout.measured)
+    aside, copies = len(calibration.aside_lines), calibration.copies
+    besides = [f"{aside:,} set aside"] if aside else []
+    besides += [f"{copies:,} {'copy' if copies == 1 else 'copies'} left out"] if copies else []
+    counts = [f"{len(calibration.fit.measured):,} fitted", f"{kept:,} held out", *besides]
+    together = "" if calibration.heldout_by == "rows" or not kept else f" by {calibration.heldout_by}"
+    return {"counts": counts, "aside": besides, "together": together}
 
 
 def _verdict(calibration: Calibration) -> dict[str, Any]:
@@ -93,25 +104,29 @@ def _verdict(calibration: Calibration) -> dict[str, Any]:
     return {"look": LOOKS[verdict.level], "verdict_lines": verdict_lines(calibration, verdict)}
 
 
-def _figures(calibration: Calibration, document: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+def _figures(calibration: Calibration) -> list[tuple[str, str, str]]:
     """What stands in the boxes under the verdict: title, value, words."""
-    before, after, tip = document["metrics"]["before"], document["metrics"]["after"], document["tip"]
-    part, where = ("fit", "fitted rows") if after["heldout"] is None else ("heldout", "held-out rows")
-    free = [row for row in document["parameters"] if row["known_from"] != "held"]
+    before, after, (drawn, now) = calibration.metrics["before"], calibration.metrics["after"], calibration.tip_std
+    was, left, where = before["fit"], after["fit"], "fitted rows"
+    if after["heldout"] is not None:
+        was, left, where = before["heldout"], after["heldout"], "held-out rows"
+    assert was is not None
+    assert left is not None
+    free = [row for row in parameter_rows(calibration) if row["known_from"] != "held"]
     known = sum(row["known_from"] == "samples" for row in free)
-    found, reference = document["identifiability"], calibration.reference
+    found, reference = calibration.identifiability, calibration.reference
     expected = ("Expected tip error", "not stated", "the result must not be used")
-    if document["verdict"]["level"] != "do not use":
-        words = f"RMS over the workspace, apart from the position of the base; before {mm(tip['prior_rms_mm'])}"
-        expected = ("Expected tip error", mm(tip["expected_rms_mm"]), words)
-    residual = f"RMS of the {where}; before {mm(before[part]['rmse_mm'], 4)}"
+    if verdict_of(calibration).level != "do not use":
+        words = f"RMS over the workspace, apart from the position of the base; before {mm(drawn)}"
+        expected = ("Expected tip error", mm(now), words)
+    residual = f"RMS of the {where}; before {mm(was['rmse_mm'], 4)}"
     agreement, checked = "not run", "nothing checked"
     if reference is not None:
         checked, agreement = "on", f"{reference.solver.upper()} {'agrees' if reference.agrees else 'differs'}"
-    minimum = f"{checked} the minimum; rank {found['rank']} of {count(found['unknowns'], 'unknown')}"
+    minimum = f"{checked} the minimum; rank {found.rank} of {count(found.unknowns, 'unknown')}"
     return [
         expected,
-        ("Residual: not accuracy", mm(after[part]["rmse_mm"], 4), residual),
+        ("Residual: not accuracy", mm(left["rmse_mm"], 4), residual),
         ("Known from samples", f"{known} of {len(free)}", "parameters; the others depend on the prior"),
         ("Second solver", agreement, minimum),
     ]
@@ -135,18 +150,17 @@ def _noise(calibration: Calibration, noise: Mapping[str, Any]) -> str:
     return f"Every figure uses the noise as found: {used} mm, stated {stated} mm.{more}"
 
 
-def _tried(part: Mapping[str, Any] | None) -> dict[str, Any]:
+def _tried(tried: Sequence[Tried]) -> dict[str, Any]:
     """Which effects could be corrected, and which are."""
-    tried = [] if part is None else part["tried"]
-    splits = list(dict.fromkeys(name for each in tried for name in each["unseen"]))
+    splits = list(dict.fromkeys(name for each in tried for name in each.unseen))
     yes = {None: "–", True: "yes", False: "no"}
     rows = [
         [
-            capital(each["words"]),
-            "where rows have its columns" if each["further"] and each["helps"] else yes[each["corrected"]],
-            f"{each['evidence']:.1f}",
-            *(f"{each['unseen'][name]:.1f}" if name in each["unseen"] else "–" for name in splits),
-            yes[each["helps"]],
+            capital(each.words),
+            "by columns of the rows" if each.told else yes[each.corrected],
+            f"{each.evidence:.1f}",
+            *(f"{each.unseen[name]:.1f}" if name in each.unseen else "–" for name in splits),
+            yes[each.helps],
         ]
         for each in tried
     ]
