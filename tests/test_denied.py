@@ -190,6 +190,11 @@ def test_nor_does_the_object(denied):
     assert "tip error" not in repr(found)
     with pytest.raises(CasacalError, match="no standard deviations"):
         found.predict(np.zeros(4), std=True, force=True)
+    whole = found.to_dict()
+    assert whole["tip"] is None
+    assert whole["covariance"] is None
+    assert "covariance" not in whole["discrepancy"]
+    assert {row["std"] for row in whole["parameters"] if row["known_from"] != "held"} == {None}
     asked = {
         "predict": lambda **drawn: found.predict(np.zeros(4), **drawn),
         "values": found.values,

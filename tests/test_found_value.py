@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from casacal import calibrate, load
-from casacal.compensation.result import CalibrationResult, Verdict, result_of
+from casacal.compensation.result import CalibrationResult, FaceNoise, Verdict, result_of
 
 
 @pytest.fixture(scope="module")
@@ -43,9 +43,18 @@ def test_it_says_what_the_file_says(made):
         assert math.isnan(row.std) if said["std"] is None else row.std == said["std"]
     assert value.tip.expected_mm == document["tip"]["expected_rms_mm"] == pytest.approx(found.tip_std[1])
     assert value.tip.flange_prior_mm == document["tip"]["flange_prior_rms_mm"]
+    assert value.tip.prior_mm == document["tip"]["prior_rms_mm"] == pytest.approx(found.tip_std[0])
+    assert value.tip.flange_expected_mm == document["tip"]["flange_expected_rms_mm"]
     assert value.noise.by_face["floor"].used_mm == document["noise"]["by_face"]["floor"]["used_mm"]
     assert value.unknowns == {row["name"]: row["value"] for row in document["unknowns"]}
     assert set(value.planes) == set(document["planes"])
+    faces = {
+        "a": {"stated_mm": 0.01, "used_mm": 0.03, "without_joints_mm": 0.02},
+        "b": {"stated_mm": 1.0, "used_mm": 2.0},
+    }
+    noisy = result_of({**document, "noise": {"ratio": 2.0, "low": 1.5, "high": 2.5, "by_face": faces}}).noise
+    assert (noisy.ratio, noisy.low, noisy.high, noisy.joints_rad) == (2.0, 1.5, 2.5, 0.0)
+    assert noisy.by_face == {"a": FaceNoise(0.01, 0.03, 0.02), "b": FaceNoise(1.0, 2.0, 2.0)}
     null = {**document, "tip": None, "covariance": None, "verdict": {**document["verdict"], "level": "do not use"}}
     denied = result_of(null)
     assert math.isnan(denied.tip.expected_mm)

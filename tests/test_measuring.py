@@ -385,6 +385,22 @@ def test_touches_on_a_line_wait(hsr, route, world):
     assert session.tip_error is None
 
 
+def test_a_face_whose_fourth_touch_is_in_doubt_waits(hsr, world):
+    """Three touches are as many as a face has unknowns, so without the one in doubt they tell nothing of it."""
+    touches = [world.touch(number) for number in range(1, 51)]
+    session = Session(hsr.problem)
+    for touch in [each for each in touches if each[2] != "floor"]:
+        session = session.take(*touch)
+        session = session if session.alarm is None else session.keep()
+    floor = [each for each in touches if each[2] == "floor"][:4]
+    for joints, reading, face in floor[:3]:
+        session = session.take(joints, reading, face)
+    joints, reading, face = floor[3]
+    doubted = session.take(joints, reading + 4.0, face)
+    assert doubted.alarm is not None
+    assert len(doubted.undo()) == len(session)
+
+
 @pytest.mark.long
 def test_a_plan_gives_every_face_enough(hsr):
     ur5 = load_problem(UR5)
