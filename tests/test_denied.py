@@ -168,7 +168,7 @@ def test_nor_does_any_attribute(denied):
 
 WITHHELD = {
     *("passed", "std", "tip_std", "flange_std", "tip_std_without_prior", "tip_from_minimum", "covariance", "cures"),
-    *("identifiability", "left_out", "sensitivity", "motion"),
+    *("identifiability", "left_out", "sensitivity", "motion", "dial_errors"),
 }
 
 
@@ -190,6 +190,8 @@ def test_nor_does_the_object(denied):
     assert "tip error" not in repr(found)
     with pytest.raises(CasacalError, match="no standard deviations"):
         found.predict(np.zeros(4), std=True, force=True)
+    assert all(np.isnan(error.tip_mm) for error in found.dial_errors)
+    assert "do not use" in repr(found.arm)
     whole = found.to_dict()
     assert whole["tip"] is None
     assert whole["covariance"] is None
@@ -283,6 +285,7 @@ def test_compensated_targets_say_so_when_forced(denied, tmp_path, capsys):
     assert main([*predict, "--nominal"]) == 0
     assert "WARNING" not in (tmp_path / "p.csv").read_text(), "the drawn arm is no result"
     assert main(["verify", result, str(folder / "samples.csv")]) == 2
+    assert "# WARNING: Do not use" in (folder / "out" / "parameters.csv").read_text()
 
 
 @pytest.fixture(scope="module")

@@ -310,6 +310,31 @@ def test_amounts_far_from_those_that_were_fitted_are_said_or_refused(loaded, ask
     assert loaded.predict(absurd, nominal=True).beyond == ()
 
 
+def test_amounts_next_to_nothing_are_asked_about(loaded, asked):
+    """Kilonewton metres under the name of newton metres; all of them zero is another thing."""
+    joints, torques = asked[:2]
+    for times, said in ((1e-3, True), (0.0, False), (0.5, False)):
+        found = loaded.predict(table(joints, **by_name(TORQUES, times * torques)))
+        assert any("next to nothing" in words for words in found.beyond) == said
+
+
+def test_a_column_that_never_varies_makes_a_result_that_is_read(tmp_path, asked, capsys):
+    """Torque about an upright axis: zero in every row, and so its mean without any spread."""
+    torques = np.random.default_rng(6).normal(size=(80, 6)) * USUAL
+    torques[:, 0] = 0.0
+    rows = measured(lambda _: GIVE * torques, by_name(TORQUES, torques))
+    problem = Problem(ROBOT, POINT, effects=(TorqueCompliance(columns_of=TORQUES),))
+    calibrate(problem, rows, reference=False).save(tmp_path / "made")
+    read = load(tmp_path / "made")
+    assert min(read.arm.found.effects.spread.values()) == 0.0
+    asked[2].to_csv(tmp_path / "rows.csv", index=False)
+    table(asked[0]).to_csv(tmp_path / "bare.csv", index=False)
+    for name, said in (("rows", "# Corrected by columns"), ("bare", "# Without torque1_Nm")):
+        out = tmp_path / f"{name}-out.csv"
+        assert main(["predict", str(tmp_path / "made"), str(tmp_path / f"{name}.csv"), "--out", str(out)]) == 0
+        assert said in out.read_text(), "a file that travels says it too"
+
+
 def test_fresh_rows_in_another_unit_are_refused_and_heavy_ones_are_said(loaded):
     torques = np.random.default_rng(16).normal(size=(60, 6)) * USUAL
     centi, heavy = (

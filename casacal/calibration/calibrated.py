@@ -25,6 +25,7 @@ from casacal.compensation.arm import CalibratedArm
 from casacal.errors import CasacalError
 from casacal.files import jsonable, write_text
 from casacal.planning.cures import Cure
+from casacal.uncertainty.beside_geometry import DialError
 from casacal.uncertainty.expectation import Box
 from casacal.uncertainty.identifiability import Identifiability
 from casacal.uncertainty.prior_moves import PriorMoves
@@ -118,6 +119,12 @@ class Calibrated(Calibration, AsArm):
         """Rank, null and weak directions as drawn; what they do to the tip is NaN where the verdict denies figures."""
         found = self.unjudged.identifiability
         return found.without_tips() if self.denied else found
+
+    @property
+    def dial_errors(self) -> tuple[DialError, ...]:
+        """Whether rows show an undeclared error of the dial; at the tip it is NaN where the verdict denies figures."""
+        found = self.unjudged.dial_errors
+        return tuple(replace(each, tip_mm=math.nan) for each in found) if self.denied else found
 
     @property
     def left_out(self) -> tuple[LeftOut, ...]:

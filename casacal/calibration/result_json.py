@@ -18,6 +18,7 @@ from casacal.calibration import result_parts as parts
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.verdict import verdict_of
 from casacal.calibration.warnings import warnings
+from casacal.compensation.result import Verdict
 from casacal.compensation.result_file import sealed
 from casacal.errors import CasacalError
 from casacal.files import MADE, side_by_side, together, write_json, write_text
@@ -133,16 +134,18 @@ def write_calibration(
     with together(folder, PLACED) as place:
         write_text(place / "report.html", report_page(calibration, document, command=command, box=box))
         write_json(place / "result.json", document)
-        write_text(place / "parameters.csv", _table(document["parameters"]))
+        write_text(place / "parameters.csv", _table(document["parameters"], verdict_of(calibration)))
         save_plots(calibration, place)
         made = [name for name in FILES if (place / name).exists()]
     return [folder / name for name in made]
 
 
-def _table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Parameters as CSV."""
+def _table(rows: Sequence[Mapping[str, Any]], verdict: Verdict) -> str:
+    """Parameters as CSV, below a verdict that is not simply calibrated."""
     text = io.StringIO()
     text.write(f"# {MADE}\n")
+    if verdict.level != "calibrated":
+        text.write(f"# {'WARNING: ' * (verdict.level == 'do not use')}{verdict.words}\n")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(("name", "unit", "nominal", "estimate", "change", "std", "known_from"))
     for row in rows:

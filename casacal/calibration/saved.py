@@ -240,7 +240,7 @@ class SavedCalibration(Value, AsArm):
         expected = "" if math.isnan(self.tip_std[1]) else f", expected tip error {self.tip_std[1]:.3g} mm RMS"
         return (
             f"<casacal calibration of {self.found.source.problem.robot.name} by {self.found.found.method}, read from "
-            f"{self.found.file}{expected}>"
+            f"{self.found.file}{expected}{'' if self.found.denial is None else ', do not use'}>"
         )
 
 

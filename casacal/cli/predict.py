@@ -46,7 +46,11 @@ def run(options: argparse.Namespace) -> int:
         complain(str(refused))
         return FAILED
     count = len(prediction.positions)
-    write_prediction(options.out, prediction)
+    remarks = ["the arm as drawn, not as calibrated"]
+    if not options.nominal:
+        care = [] if result.caution is None else [result.caution]
+        remarks = [*care, *told_notes(result, prediction.missing, prediction.beyond)]
+    write_prediction(options.out, prediction, remarks)
     if options.json:
         said = {
             "unseen": list(prediction.unseen),

@@ -95,7 +95,8 @@ class CalibratedArm(Value):
             raise RefusedResultError(f"{self.file}: {self.denial.removesuffix('.')}", fix)
 
     def __repr__(self) -> str:
-        return f"<CalibratedArm {self.source.problem.robot.name} of {self.file}, by {self.found.method}>"
+        against = "" if self.denial is None else ", do not use"
+        return f"<CalibratedArm {self.source.problem.robot.name} of {self.file}, by {self.found.method}{against}>"
 
 
 def arm_values(result: CalibratedArm, *, nominal: bool = False) -> SimpleNamespace:

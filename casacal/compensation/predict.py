@@ -163,10 +163,11 @@ def predict(
     return Prediction(positions, quaternions_of(poses[:, :3, :3]), spread, unseen, told.missing, told.beyond, denial)
 
 
-def write_prediction(path: str | Path, prediction: Prediction) -> None:
-    """Write x_mm,y_mm,z_mm,qw,qx,qy,qz, and std_mm where there is one; one row per pose, below a verdict against it."""
+def write_prediction(path: str | Path, prediction: Prediction, remarks: Sequence[str] = ()) -> None:
+    """Write x_mm,y_mm,z_mm,qw,qx,qy,qz, and std_mm where there is one; a row per pose, below a verdict and remarks."""
     lines = [f"# predicted, {MADE}: poses in the base frame"]
     lines += [] if prediction.denial is None else [f"# WARNING, against the verdict: {prediction.denial}"]
+    lines += [f"# {' '.join(remark.split())}" for remark in remarks]
     lines += ["x_mm,y_mm,z_mm,qw,qx,qy,qz" + (",std_mm" if prediction.std is not None else "")]
     for i, (place, turn) in enumerate(zip(prediction.positions, prediction.quaternions, strict=True)):
         cells = [f"{v:.6f}" for v in place] + [f"{v:.12f}" for v in turn]

@@ -17,8 +17,9 @@ from casacal.wording import listed
 
 NOTHING_TOLD: Mapping[str, Array] = FrozenMapping({})
 
-MOST_SPANS, FAR_SPANS = 10.0, 0.5
-"""How far from the fitted rows an amount may be, in spans of these: more is refused, or else said."""
+MOST_SPANS, FAR_SPANS, NEAR_NOTHING = 10.0, 0.5, 0.02
+"""How far from the fitted rows an amount may be, in spans of these: more is refused, or else said; and how little all
+amounts of a file may be, but for none at all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +77,20 @@ def _beyond(rows: Samples, amounts: Mapping[str, Array], ranges: Mapping[str, tu
         values, fitted = amounts[name], f"the {low:g} to {high:g} of the fitted rows"
         away = np.maximum(low - values, values - high)
         fix = "Give it in their unit, such as kg and not g, or Nm and not mNm; or calibrate with such rows"
-        good = (away <= MOST_SPANS * span)[:, None]
+        good = ((away <= MOST_SPANS * span) | (span == 0))[
+            :, None
+        ]  # of one that was always zero nothing is in proportion
         refuse_unless(good, rows, (name,), values[:, None], f"is out of all proportion to {fitted}", fix)
         row = int(np.argmax(away))
         if away[row] > FAR_SPANS * span:
             where = f"warning: {name} is {values[row]:g} on line {int(rows.lines[row])}"
             said.append(f"{where}, far from {fitted}, so what it corrects there is extrapolated.")
+    largest = max((float(np.abs(amounts[name]).max(initial=0.0)) for name in known), default=0.0)
+    if 0 < largest < NEAR_NOTHING * span:
+        said.append(
+            f"warning: {listed(list(known))} reach {largest:g} in these rows, next to nothing beside the {span:g} of "
+            "the fitted rows: are they in the unit of those, such as Nm and not kNm?"
+        )
     return said
 
 

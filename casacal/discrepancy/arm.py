@@ -28,7 +28,7 @@ class GravitySag(Loaded):
         down: direction of gravity in the base frame.
         payload: column of the samples that says what hangs at the tip in each row, kg, such as "payload_kg": each joint
             then gives to it as well, in proportion. `predict` and `compensate` correct the sag where their file has
-            that column; where it lacks it, all of the sag counts as an error.
+            that column; where it lacks it, as with the payload of the fitted rows on average.
 
     """
 

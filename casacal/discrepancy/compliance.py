@@ -40,7 +40,8 @@ class TorqueCompliance(ByColumns):
     """Every joint stands off by its own give times the torque that stands in a column of the samples.
 
     `predict` and `compensate` correct it where their file has these columns too, measured or commanded, and exports to
-    C and CasADi take the torques as a further input. Where they are not known it counts as an error.
+    C and CasADi take the torques as a further input. Where they are not known they stand at their means in the fitted
+    rows.
 
     Args:
         columns_of: the column of each joint's torque, in Nm, such as ("torque1_Nm", ...); one for each joint.

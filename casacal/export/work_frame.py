@@ -47,18 +47,24 @@ class WorkFrame(Value):
 
 
 def work_frame(
-    result: CalibratedArm, *, faces: Sequence[str] | None = None, points: Sequence[str] | None = None
+    result: CalibratedArm,
+    *,
+    faces: Sequence[str] | None = None,
+    points: Sequence[str] | None = None,
+    force: bool = False,
 ) -> WorkFrame:
     """The frame of three faces or of three points that a calibration found.
 
     Of faces: z is the normal of the first, x that of the second as far as it lies across z, the origin is where all
     three meet. Normals point to the arm's side. Of points: the first is the origin, x points to the second, and the
     third lies in the xy plane, on the side of y. Touches with a ball give faces and points of its centre. Either are
-    three labels, of faces or of points of `FixedPoint`.
+    three labels, of faces or of points of `FixedPoint`. force: take a result whose verdict is not to use it; its frame
+    has no standard deviations.
 
     Raises CasacalError where these fix no frame, or not three are named; UnknownNameError for a label that is none.
     """
     result = arm_from(result)
+    result.check_usable(force=force)
     labels, build = (faces, _of_faces) if faces is not None else (points, _of_points)
     named = isinstance(labels, (tuple, list)) and all(isinstance(label, str) for label in labels)
     if (faces is None) == (points is None) or labels is None or not named or len(labels) != 3:
@@ -100,8 +106,7 @@ def frame_text(
     from scipy.spatial.transform import Rotation
 
     result = arm_from(result)
-    result.check_usable(force=force)
-    frame = work_frame(result, faces=faces, points=points)
+    frame = work_frame(result, faces=faces, points=points, force=force)
     turn, (x, y, z) = Rotation.from_matrix(frame.matrix[:3, :3]), frame.matrix[:3, 3]
     w1, w2, w3, w0 = turn.as_quat(canonical=True)
     c, b, a = turn.as_euler("xyz", degrees=True)
