@@ -212,3 +212,16 @@ def test_a_plan_goes_into_a_pipe(folders, tmp_path):
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     ran = subprocess.run([*typed, "--out", "/dev/stdout"], capture_output=True, text=True, env=environment, check=True)
     assert ran.stdout.startswith("# planned by casacal for UR5: not a measurement\n# table at z = 0 mm\n")
+
+
+def test_links_stay_their_radius_above_the_table():
+    """As above a table that is higher by it, while the tip may touch down to the table itself."""
+    robot = load_problem(ROOT / "problems" / "ur5").problem.robot
+    low, high = robot.limits
+    joints = np.random.default_rng(0).uniform(low, high, size=(400, len(low)))
+    tips = np.tile([500.0, 0.0, 1000.0], (400, 1))
+    thick, higher, thin = (above_table(robot, *given)(joints, tips) for given in ((0, 60.0), (60.0, 0), (0, 0)))
+    np.testing.assert_array_equal(thick, higher)
+    assert thick.sum() < thin.sum()
+    tips[:, 2] = 10.0
+    np.testing.assert_array_equal(above_table(robot, 0, 60.0)(joints, tips), thick)
