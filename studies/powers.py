@@ -25,7 +25,7 @@ from casacal.uncertainty.joint_repeatability import repeats_to
 from casacal.uncertainty.noise import found_noise
 from studies.reporting import PROBLEMS, figure, palette, percent, save, script, table
 
-ARMS, ROWS, LEVEL = 200, 120, 0.05
+ARMS, ROWS, LEVEL = 100, 120, 0.05
 SOURCE = load_problem(PROBLEMS / "hsr_jr680")
 NONE = "none"
 
@@ -120,12 +120,12 @@ def report(run: Run) -> list[str]:
         "# How often a fault is noticed",
         "",
         f"Simulated HSR-JR680, three faces, {ROWS} touches, noise 0.01 mm, {run.study.trials} arms for each line.",
-        "*Noticed*: share of arms in which it is said to be there: a log likelihood that gains more than "
-        f"{VERY_STRONG:g}, of the",
-        f"dial a chance below {UNLIKELY:g}. *At 5 % of clean arms*: the same where the limit is that which 5 % of the",
-        "clean arms are beyond. *Best*: mean power at 5 % of a test",
-        "that knows what the fault does to every row of that arm, but for size and sign, and of the geometry its",
-        "priors alone. Where the fault is random from row to row there is no such shape. *Asked* are the powers that",
+        "*Noticed*: share of arms of which it is said to be there: a log likelihood that gains more than "
+        f"{VERY_STRONG:g}, of",
+        f"the dial a chance below {UNLIKELY:g}. *At 5 % of clean arms*: the same where the limit is that which 5 % of",
+        "the clean arms are beyond. *Best*: mean power at 5 % of a test that knows what the fault does to every row of",
+        "that arm, but for size and sign, and of the geometry its priors alone. Where the fault is random from row to",
+        "row there is no such shape. *Asked* are the powers that",
         "were set as a target beforehand. Intervals are Clopper and Pearson's.",
         "",
         "![powers](powers.png)",
