@@ -329,10 +329,10 @@ def test_a_column_that_never_varies_makes_a_result_that_is_read(tmp_path, asked,
     assert min(read.arm.found.effects.spread.values()) == 0.0
     asked[2].to_csv(tmp_path / "rows.csv", index=False)
     table(asked[0]).to_csv(tmp_path / "bare.csv", index=False)
-    for name, said in (("rows", "# Corrected by columns"), ("bare", "# Without torque1_Nm")):
+    for name, said in (("rows", "Corrected by columns"), ("bare", "Without torque1_Nm")):
         out = tmp_path / f"{name}-out.csv"
         assert main(["predict", str(tmp_path / "made"), str(tmp_path / f"{name}.csv"), "--out", str(out)]) == 0
-        assert said in out.read_text(), "a file that travels says it too"
+        assert said in out.read_text().splitlines()[0], "a file that travels says it too"
 
 
 def test_fresh_rows_in_another_unit_are_refused_and_heavy_ones_are_said(loaded):

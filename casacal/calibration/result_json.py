@@ -141,11 +141,10 @@ def write_calibration(
 
 
 def _table(rows: Sequence[Mapping[str, Any]], verdict: Verdict) -> str:
-    """Parameters as CSV, below a verdict that is not simply calibrated."""
+    """Parameters as CSV, below who wrote it and a verdict that is not simply calibrated."""
     text = io.StringIO()
-    text.write(f"# {MADE}\n")
-    if verdict.level != "calibrated":
-        text.write(f"# {'WARNING: ' * (verdict.level == 'do not use')}{verdict.words}\n")
+    said = "" if verdict.level == "calibrated" else f". {verdict.words}"
+    text.write(f"# {MADE}{said}\n")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(("name", "unit", "nominal", "estimate", "change", "std", "known_from"))
     for row in rows:

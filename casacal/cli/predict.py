@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
         complain(str(refused))
         return FAILED
     count = len(prediction.positions)
-    remarks = ["the arm as drawn, not as calibrated"]
+    remarks = ["Of the arm as drawn, not as calibrated."]
     if not options.nominal:
         care = [] if result.caution is None else [result.caution]
         remarks = [*care, *told_notes(result, prediction.missing, prediction.beyond)]

@@ -164,10 +164,13 @@ def predict(
 
 
 def write_prediction(path: str | Path, prediction: Prediction, remarks: Sequence[str] = ()) -> None:
-    """Write x_mm,y_mm,z_mm,qw,qx,qy,qz, and std_mm where there is one; a row per pose, below a verdict and remarks."""
-    lines = [f"# predicted, {MADE}: poses in the base frame"]
+    """Write x_mm,y_mm,z_mm,qw,qx,qy,qz, and std_mm where there is one; a row per pose, below a line on what it is.
+
+    remarks: sentences for that line. A verdict not to use the result stands in a line of its own.
+    """
+    said = " ".join(" ".join((f"predicted, {MADE}: poses in the base frame.", *remarks)).split())
+    lines = [f"# {said}"]
     lines += [] if prediction.denial is None else [f"# WARNING, against the verdict: {prediction.denial}"]
-    lines += [f"# {' '.join(remark.split())}" for remark in remarks]
     lines += ["x_mm,y_mm,z_mm,qw,qx,qy,qz" + (",std_mm" if prediction.std is not None else "")]
     for i, (place, turn) in enumerate(zip(prediction.positions, prediction.quaternions, strict=True)):
         cells = [f"{v:.6f}" for v in place] + [f"{v:.12f}" for v in turn]
