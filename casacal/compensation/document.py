@@ -107,11 +107,15 @@ TYPES: Mapping[str, Callable[[Any], bool]] = {
     "null": lambda value: value is None,
     "boolean": lambda value: isinstance(value, bool),
     "string": lambda value: isinstance(value, str),
-    "integer": lambda value: isinstance(value, int) and not isinstance(value, bool),
+    "integer": lambda value: not isinstance(value, bool) and (isinstance(value, int) or _is_whole(value)),
     "number": lambda value: isinstance(value, (int, float)) and not isinstance(value, bool) and value == value,
     "array": lambda value: isinstance(value, list),
     "object": lambda value: isinstance(value, dict),
 }
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, float) and value.is_integer()  # as JSON Schema has it
 
 
 def misfits(schema: Mapping[str, Any], value: Any, path: Way = ()) -> Iterator[tuple[Way, Any]]:
@@ -121,7 +125,8 @@ def misfits(schema: Mapping[str, Any], value: Any, path: Way = ()) -> Iterator[t
     if not _is_kind(schema.get("type"), value) or value not in schema.get("enum", (value,)):
         yield path, value
     elif TYPES["number"](value):
-        if not schema.get("exclusiveMinimum", -math.inf) < value < schema.get("exclusiveMaximum", math.inf):
+        within = schema.get("exclusiveMinimum", -math.inf) < value < schema.get("exclusiveMaximum", math.inf)
+        if not within or value < schema.get("minimum", -math.inf):
             yield path, value
     elif isinstance(value, list):
         for place, item in enumerate(value if "items" in schema else ()):
