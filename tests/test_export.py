@@ -544,8 +544,8 @@ def test_parallel_axes_never_give_absurd_lengths(place, calibrated, tmp_path, na
         return
     source = place / ("ur5.csv" if name == "ur5" else "puma.toml")
     text = export.dh_text(result, toml=source.suffix == ".toml")
-    table = casacal.robots.files.dh_file.read_dh_file(_written(tmp_path / source.name, text))
-    began = casacal.robots.files.dh_file.read_dh_file(source)
+    table = casacal.robots.files.dh_text.read_dh_file(_written(tmp_path / source.name, text))
+    began = casacal.robots.files.dh_text.read_dh_file(source)
     for key in ("a", "d"):
         assert np.abs(np.subtract(getattr(table, key), getattr(began, key))).max() < reach
     frames = dh_pose(numbers(result), np.zeros(6), parallel)[1]

@@ -15,6 +15,7 @@ from casacal.calibration.brief import next_step
 from casacal.calibration.saved import SavedCalibration
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
+from casacal.compensation.arm import CalibratedArm
 from casacal.fieldwork import approaches as ways_of
 from casacal.fieldwork.handouts import program_text
 from casacal.measuring.examine import Alarm, SessionState, Suspected
@@ -43,9 +44,9 @@ def test_the_message_carries_a_verdict_that_denies(hsr, corner_simulation):
     assert words.startswith("Do not use")
     assert found.message == f"{words} {found.result.message}"
     verdict = {"level": "do not use", "words": words, "reasons": []}
-    saved = SavedCalibration(SimpleNamespace(document={"verdict": verdict, "status": "Converged."}))
+    saved = SavedCalibration(CalibratedArm("a file", hsr, {"verdict": verdict, "status": "Converged."}))
     assert saved.message == f"{words} Converged."
-    assert SavedCalibration(SimpleNamespace(document={"status": "The truth."})).message == "The truth."
+    assert SavedCalibration(CalibratedArm("a file", hsr, {"status": "The truth."})).message == "The truth."
 
 
 def test_what_cannot_be_corrected_names_no_function(hsr, small):
