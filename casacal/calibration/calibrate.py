@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.binding.marginal import bind_further
+from casacal.binding.seen import bind_further
 from casacal.calibration.calibrated import Calibrated
 from casacal.calibration.given import RANDOM, Method, Progress, Reference, chosen, estimate, problem_from, samples_from
 from casacal.calibration.motion import tried_corrections

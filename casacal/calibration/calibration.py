@@ -12,7 +12,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind, each_alone
-from casacal.binding.marginal import Marginal, Seen, extended, seen
+from casacal.binding.seen import ArmAlone, Seen, extended, seen
 from casacal.calibration.given import Reference
 from casacal.calibration.metrics import Metrics, metrics_of, parts_of
 from casacal.calibration.motion import Motion, Tried, among, used_arm
@@ -397,7 +397,7 @@ class Calibration(Value):
         if all(direction.tip_mm < HARMLESS for direction in directions):
             return (NOT_NEEDED,) * len(directions)
         geometry, x = seen(self.weighed, self.bare_x)
-        now = posterior_covariance(geometry.information(x), geometry.prior_std)
+        now = posterior_covariance(geometry.information(x), geometry.prior_information)
         return tuple(
             NOT_NEEDED if direction.tip_mm < HARMLESS else cure_for(geometry, now, self.cures, direction)
             for direction in directions
@@ -408,7 +408,7 @@ class Calibration(Value):
         """How estimate and tip follow every reading and prior; raises CasacalError where it is no minimum."""
         (_, tips, slopes), arm = self.workspace, self.motion.arm
         field = np.zeros((tips.size, self.fit.unknowns))
-        field[:, arm.free if isinstance(arm, Marginal) else slice(None)] = without_rigid(slopes, tips)
+        field[:, arm.free if isinstance(arm, ArmAlone) else slice(None)] = without_rigid(slopes, tips)
         return sensitivity(self.fit, self.result, field)
 
     @cached_property

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.binding.marginal import seen
+from casacal.binding.seen import seen
 from casacal.calibration import result_parts as parts
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.verdict import verdict_of

@@ -12,7 +12,7 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.errors import SamplesError, SimulationError, came
 from casacal.estimators import lm
-from casacal.least_squares.restricted import Restricted
+from casacal.least_squares.conditioned import Conditioned
 from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.layout import Layout
@@ -79,7 +79,7 @@ class Simulation(Value):
             else:
                 placed[slot.columns] = slot.datum or slot.unknown.nominal is None
         if placed.any():  # bodies and frames: where the true arm says they are
-            part = Restricted(bound, placed, x)
+            part = Conditioned(bound, placed, x)
             x = part.expand(lm(part).x)
         return x
 

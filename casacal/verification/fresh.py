@@ -17,7 +17,7 @@ from casacal.binding.slots import make_slots
 from casacal.compensation.arm import CalibratedArm, all_motion, named_covariance
 from casacal.errors import CasacalError, ProblemError, SamplesError, UnknownNameError
 from casacal.estimators import lm
-from casacal.least_squares.restricted import Restricted
+from casacal.least_squares.conditioned import Conditioned
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.uncertainty.fresh_rows import FreshRows, covariance_root
@@ -66,7 +66,7 @@ class Fresh:
 
     def fitted(self, at: Array) -> Array:
         """The same with what is known held elsewhere (n,)."""
-        part = Restricted(self.bound, ~self.known, at)
+        part = Conditioned(self.bound, ~self.known, at)
         return np.asarray(part.expand(lm(part).x))
 
     @cached_property
