@@ -38,8 +38,8 @@ def test_what_one_half_told_and_the_other_half_are_one_fit_of_all(problem, halve
     both = lm(bind(problem, halves[0]).on(joined(*halves)))
     found = lm(second)
     assert found.converged
-    # the first half's posterior is a Gaussian about its own minimum: what bends within it is all that may differ
-    np.testing.assert_allclose((found.x - both.x) / both.std, 0.0, atol=2e-2)
+    # the first half is kept as a Gaussian about its own minimum: what bends within it is all that may differ
+    np.testing.assert_allclose((found.x - both.x) / both.std, 0.0, atol=4e-2)
     np.testing.assert_allclose(found.std, both.std, rtol=1e-2)
 
 
@@ -97,7 +97,7 @@ def test_what_is_taken_out_moves_freely(problem, halves):
     np.testing.assert_allclose(np.sqrt(np.diag(told)), np.sqrt(np.diag(expected)), rtol=1e-4)
 
 
-def test_a_gaussian_is_conditioned_and_loosened_as_the_books_say():
+def test_a_gaussian_is_conditioned_as_the_books_say():
     rng = np.random.default_rng(2)
     root = rng.normal(size=(4, 4))
     known = Gaussian(("a", "b", "c", "d"), rng.normal(size=4), root @ root.T)
@@ -107,8 +107,6 @@ def test_a_gaussian_is_conditioned_and_loosened_as_the_books_say():
     assert rest.names == ("a", "c", "d")
     np.testing.assert_allclose(rest.mean, draws[near][:, [0, 2, 3]].mean(axis=0), atol=0.1)
     np.testing.assert_allclose(rest.covariance, np.cov(draws[near][:, [0, 2, 3]].T), rtol=0.1, atol=0.1)
-    loose = known.loosened({"c": 2.0})
-    np.testing.assert_allclose(loose.covariance - known.covariance, np.diag([0, 0, 4.0, 0]), atol=1e-12)
 
 
 def _scaled(covariance):

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -49,6 +50,9 @@ from casacal.uncertainty.prior_moves import PriorMoves, prior_moves
 from casacal.uncertainty.transfer import LeftOut, leave_one_face_out
 from casacal.uncertainty.workspace import tip_rms, tip_stds, tool_unknowns, without_rigid, workspace_joints
 from casacal.values import FrozenMapping, Value
+
+if TYPE_CHECKING:
+    from casacal.calibration.earlier import EarlierResult
 
 MINIMISERS = ("lm", "sckf-lm", "ipopt")  # methods that promise the minimum; filters and controls may honestly miss it
 HARMLESS = 0.01  # tip motion (mm under the prior) below which an unseen direction needs no cure
@@ -101,6 +105,8 @@ class Calibration(Value):
     """The same rows without effects beside the geometry, and with the noise as it was found so; None where it is `fit`.
 
     What is wrong with the samples is looked for there: effects would explain part of it away."""
+    earlier: EarlierResult | None = None
+    """The result that was known before these rows; None where the drawing was."""
 
     def __eq__(self, other: object) -> bool:
         """Whether all but the time taken is equal."""
@@ -210,6 +216,11 @@ class Calibration(Value):
         return extended(self.heldout, before), extended(self.heldout, after)
 
     @cached_property
+    def earlier_chance(self) -> float:
+        """Chance of rows so far from what an earlier result expects of them; one where there is none."""
+        return 1.0 if self.earlier is None else self.earlier.chance_of(self.result)
+
+    @cached_property
     def left_out(self) -> tuple[LeftOut, ...]:
         """Each fitted face as the others predict it; a fit for each, and so only when it is asked for."""
         return leave_one_face_out(self.fit, self.result)
@@ -236,13 +247,18 @@ class Calibration(Value):
     @cached_property
     def tool_findings(self) -> tuple[Finding, ...]:
         """That the tool stands elsewhere than the problem says, where it does."""
-        if not self.fit.unknowns:
+        if not self.fit.unknowns or self.earlier is not None:  # the earlier result says where it is
             return ()
         return tuple(tool_elsewhere_at(self.bare, self.plain.x, self.plain.covariance))
 
     @cached_property
     def data_errors(self) -> tuple[Finding, ...]:
-        """Errors that the whole data check finds in the rows that were fitted; it takes many fits."""
+        """Errors that the whole data check finds in the rows that were fitted; it takes many fits.
+
+        None beside an earlier result, which says better than the drawing what is wrong with so few rows.
+        """
+        if self.earlier is not None:
+            return ()
         found = check(self.bare.problem, self.fit.measured.plain)
         return tuple(each for each in found if each.severity == "error")
 
@@ -254,7 +270,7 @@ class Calibration(Value):
             told = [*outside(alone.problem, alone.samples[0]), *rounded(alone), *sign_before_fit(alone)]
             name = alone.problem.names[0] if len(self.fit.samples) > 1 else ""
             found += [replace(each, instrument=name) for each in told]
-        if self.result.loss is None:
+        if self.result.loss is None and self.earlier is None:
             found += wrong_number(self.bare, alone=self.fit is self.bare)
         return tuple(each for each in found if each.severity == "error")
 

@@ -92,7 +92,8 @@ def sensitivity(fit: BoundProblem, result: Result, tip: Array) -> Sensitivity:
         tips[places] = np.sqrt(np.maximum(np.einsum("kmi,ij,kmj->k", slopes, seen, slopes), 0.0))
         readings += [(fit.measured.place(int(k)), name) for k in places for name in models[kind.instrument][1]]
         by_reading.append(-inverse[:, kind.columns] @ changes)
-    pull, std = fit.prior_information, np.where(np.isfinite(fit.prior_std), fit.prior_std, 0.0)
+    pull, held = fit.prior_information, np.diagonal(fit.prior_information)
+    std = np.where(held > 0, 1 / np.sqrt(np.where(held > 0, held, 1.0)), 0.0)  # of each, were the others known
     return Sensitivity(
         fit.names,
         tuple(readings),

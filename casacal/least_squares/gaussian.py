@@ -38,6 +38,12 @@ class Gaussian(Value):
         names, covariance = tuple(self.names[j] for j in rest), self.covariance[np.ix_(rest, rest)]
         return Gaussian(names, self.mean[rest] + along.T @ (white @ off), covariance - along.T @ along)
 
+    def beside(self, other: Gaussian) -> Gaussian:
+        """Together with another of other unknowns that have nothing to do with these."""
+        mine, whole = len(self.names), np.zeros((len(self.names) + len(other.names),) * 2)
+        whole[:mine, :mine], whole[mine:, mine:] = self.covariance, other.covariance
+        return Gaussian((*self.names, *other.names), np.concatenate([self.mean, other.mean]), whole)
+
     def placed(self, names: Sequence[str], mean: Array, std: Array) -> tuple[Array, Array]:
         """Means and standard deviations (n,) of unknowns by name, with those of this in their places."""
         mean, std = mean.copy(), std.copy()
@@ -46,17 +52,6 @@ class Gaussian(Value):
                 k = self.names.index(name)
                 mean[j], std[j] = self.mean[k], np.sqrt(self.covariance[k, k])
         return mean, std
-
-    def loosened(self, stds: Mapping[str, float]) -> Gaussian:
-        """The same where some unknowns may have moved since, by so much (standard deviations, mm and rad).
-
-        C' = C + E S^2 E': what was known of the others, and of sums with the moved ones, is forgotten as it should be.
-        """
-        covariance = self.covariance.copy()
-        for name, std in stds.items():
-            j = self.names.index(name)
-            covariance[j, j] += std**2
-        return Gaussian(self.names, self.mean, covariance)
 
 
 def prior_rows(names: Sequence[str], prior_std: Array, known: Gaussian | None) -> Array:
