@@ -19,6 +19,7 @@ from casacal.calibration.motion import tried_corrections
 from casacal.checks import Finding
 from casacal.checks.check import labels_alike
 from casacal.checks.set_aside import gross
+from casacal.discrepancy.kit import BY_LINKS, with_link_kit
 from casacal.errors import CasacalError, ProblemError, SamplesError, came
 from casacal.estimators import lm, nlpsol, plane_only
 from casacal.estimators.ipopt import check_solver
@@ -109,8 +110,8 @@ def calibrate(
             if set_aside and fit is not bare:
                 found = fit, bare, aside, chosen_rows
                 fit, bare, aside = _second_look(source.problem, *found, find_noise, threads)
-        if not source.problem.effects and fit.problem.effects == source.problem.with_link_kit.effects:
-            source = replace(source, problem=source.problem.with_link_kit)  # a result names effects that are not usual
+        if not source.problem.terms and fit.problem.terms == BY_LINKS:
+            source = replace(source, problem=with_link_kit(source.problem))  # a result names effects that are not usual
         heldout = bind_further(fit, *single.take(held).sets) if held.size else None
         built = time.perf_counter()
         _LOG.info("%s: %d rows bound, %d unknowns", name, fit.rows, bare.unknowns)
@@ -135,7 +136,7 @@ def _bound(
 ) -> tuple[BoundProblem, tuple[Finding, ...]]:
     """Rows under the geometry alone, and what is wrong with those that were set aside, where that is wanted."""
     try:
-        bare = bind(problem.without_effects, *rows.sets, backend=backend, threads=threads)
+        bare = bind(problem.without_terms, *rows.sets, backend=backend, threads=threads)
     except CasacalError as error:
         for slip in labels_alike(problem, rows)[:1]:
             raise ProblemError(f"{error.what}; {slip.cause}", f"{slip.fix}. {error.fix}") from None
