@@ -16,8 +16,8 @@ import numpy as np
 from casacal import Method, Problem, Result, Run, Simulated, Study, lm, load_problem
 from casacal.calibration.warnings import NOISE_BAND
 from casacal.least_squares.losses import huber
-from casacal.problem.cell import flatness_din_876
-from casacal.study.simulated import SimulatedTrial
+from casacal.simulation.cell import flatness_din_876
+from casacal.simulation.trials import SimulatedTrial
 from casacal.study.statistics import mean_interval, paired, quantiles, success_rate
 from casacal.uncertainty.figures import noise_interval
 from studies import rivals

@@ -29,7 +29,7 @@ from casacal import (
     tool_point,
 )
 from casacal.kinematics import hayati
-from casacal.study.simulated import SimulatedTrial
+from casacal.simulation.trials import SimulatedTrial
 
 THRESHOLD = 1.345
 """Of Huber's loss, in standard deviations."""

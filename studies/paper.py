@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from casacal import Run, Simulated, Study, load_problem, plate
-from casacal.problem.cell import flatness_din_876
+from casacal.simulation.cell import flatness_din_876
 from casacal.study.statistics import Paired, paired, success_rate
 from studies import paper_pictures, paper_ranking, paper_tables, rivals
 from studies.reporting import PROBLEMS, percent, script, table

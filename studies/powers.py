@@ -19,8 +19,7 @@ from scipy.stats import norm
 
 from casacal import BoundProblem, Cell, Method, Problem, Result, Run, Study, bind, lm, load_problem, simulate
 from casacal.study.statistics import Interval, success_rate
-from casacal.uncertainty.beside_geometry import UNLIKELY, VERY_STRONG, dial_errors, effect_sizes_of
-from casacal.uncertainty.discrepancy import with_effects
+from casacal.uncertainty.discrepancy import UNLIKELY, VERY_STRONG, dial_errors, effect_sizes_of, with_effects
 from casacal.uncertainty.joint_repeatability import repeats_to
 from casacal.uncertainty.noise import found_noise
 from studies.reporting import PROBLEMS, figure, palette, percent, save, script, table

@@ -61,7 +61,7 @@ def add_arm(found: Found, source: ProblemFile, seed: int, options: dict[str, Any
     off = since.predict(joints, frame="tip").positions - tips
     found.errors.append(tip_rms(without_rigid(off.ravel(), tips)))
     found.expected.append(since.tip_std[1])
-    bound = bind(source.problem.without_effects, made.samples)
+    bound = bind(source.problem.without_terms, made.samples)
     truth = dict(zip(bound.names, made.truth(bound), strict=True))
     truth[f"theta{joint + 1}"] += shift
     for name, x, std in zip(since.fit.names, since.x, since.std, strict=True):

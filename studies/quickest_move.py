@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from casacal import Method, Result, Run, Study, lm, load_problem, nominal
-from casacal.study.simulated import Simulated, SimulatedTrial
+from casacal.simulation.trials import Simulated, SimulatedTrial
 from casacal.study.statistics import mean_interval, quantiles
 from studies.reporting import PROBLEMS, figure, number, palette, save, script, table
 

@@ -29,12 +29,12 @@ ORDER = [
     "kernels",
     "robots",
     "samples",
-    "discrepancy",
     "problem",
     "doctor",
     "binding",
-    "simulation",
+    "discrepancy",
     "uncertainty",
+    "simulation",
     "planning",
     "measuring",
     "checks",
@@ -57,6 +57,8 @@ EXTRAS = {
     "cli.completion": {"shtab"},
 }
 """Packages that only some users need, and where they are asked for."""
+CORE = {"problem", "binding", "estimators", "least_squares", "study"}
+EFFECTS = re.compile(r"(?<![a-z])(kit|sag|backlash|effect)s?(?![a-z])", re.I)
 NUMPY_ONLY = {"least_squares", "uncertainty"}
 
 
@@ -99,6 +101,32 @@ def test_imports_point_down_one_ordered_list():
         place = PLACE[name.split(".")[0]]
         for other in imports(path)[0]:
             assert PLACE[other.split(".")[0]] <= place, f"{name} imports {other}, which stands above it"
+
+
+def about_effects(text):
+    """Lines of the source that speak of what an arm does beside its geometry; Kish's design effect is another thing."""
+    return [line for line in text.splitlines() if EFFECTS.search(line.replace("design effect", ""))]
+
+
+def test_the_core_knows_terms_and_no_effects():
+    """What terms there are stands above it: `discrepancy` could be deleted, and nothing here would notice."""
+    for path in FILES:
+        name = name_of(path)
+        if name.split(".")[0] in CORE:
+            assert not [other for other in imports(path)[0] if other.split(".")[0] == "discrepancy"], name
+            assert not about_effects(path.read_text(encoding="utf-8")), name
+    for planted in ("problem.with_kit", "# Backlash, say", "EFFECTS = 1", "by how much it sags", "sag: float"):
+        assert about_effects(planted)
+
+
+def test_no_cache_goes_from_object_to_object():
+    """What was worked out is handed along as an argument; a session alone still takes it out of the last one."""
+    for path in FILES:
+        if name_of(path) != "measuring.session":
+            found = re.search(
+                r"(vars\((?!module)\w+\)|__dict__)(\.update|\[[^\]]*\] =)", path.read_text(encoding="utf-8")
+            )
+            assert not found, path
 
 
 def test_no_module_asks_for_a_public_name():

@@ -14,8 +14,7 @@ from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
 from casacal.files import jsonable
 from casacal.least_squares.losses import huber
-from casacal.uncertainty.beside_geometry import dial_errors, effect_sizes_of
-from casacal.uncertainty.discrepancy import with_effects
+from casacal.uncertainty.discrepancy import dial_errors, effect_sizes_of, with_effects
 from casacal.uncertainty.noise import found_noise
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
@@ -37,7 +36,7 @@ def faulty(source, fault, seed):
 def fitted(source, samples, problem=None):
     """Samples bound with noise and effects as found, and their fit."""
     problem = source.problem if problem is None else problem
-    bound = bind(problem.without_effects, samples)
+    bound = bind(problem.without_terms, samples)
     bound = with_effects(bound.with_noise(found_noise(bound).scale), problem)
     result = lm(bound)
     assert result.converged

@@ -84,8 +84,8 @@ def test_a_rail_that_points_elsewhere_and_is_long_is_found():
 
 def test_any_arm_rides_and_its_links_weigh():
     arm = load_problem(ROOT / "problems" / "kuka_iiwa14").problem.robot
-    problem = Problem(carried(arm, by=rail(0, 2000)), TRACKER, effects=(LinkSag(),))
-    assert "give" in problem.model.unknowns
+    problem = Problem(carried(arm, by=rail(0, 2000)), TRACKER, terms=(LinkSag(),))
+    assert "give" in problem.symbols.unknowns
     scara = load_problem(ROOT / "problems" / "adept_cobra600").problem.robot
     assert carried(scara, by=rail(0, 2000)).revolute.tolist() == [False, *scara.revolute]
     two = carried(ROBOT, by=carried(turntable(-1, 1), by=rail(0, 500)))

@@ -12,7 +12,7 @@ from casacal.checks import causes
 from casacal.checks.causes import _Attempt, _looked_at_closely, _simplest, explained
 from casacal.checks.finding import Fault, Undone, misfit
 from casacal.checks.fitted_faults import tool_elsewhere
-from casacal.problem.cell import Cell, Face
+from casacal.simulation.cell import Cell, Face
 from studies.cell_mistakes import PROBLEMS, planted, simulated
 
 ROWS = 60

@@ -270,10 +270,10 @@ def test_a_wave_that_transfers_is_corrected_and_one_that_is_nowhere_is_not():
 def test_ones_own_kit_without_the_effect_corrects_nothing(sagging):
     made = sagging[0]
     source = load_problem(UR5)
-    own = dataclasses.replace(source, problem=source.problem.with_effects(TransmissionError(order=1), Backlash()))
+    own = dataclasses.replace(source, problem=source.problem.with_terms(TransmissionError(order=1), Backlash()))
     without = calibrate(own, made.samples, reference=False)
     assert "give" not in {each.key for each in without.tried}
-    mine = dataclasses.replace(source, problem=source.problem.with_effects(GravitySag(size=0.3)))
+    mine = dataclasses.replace(source, problem=source.problem.with_terms(GravitySag(size=0.3)))
     assert calibrate(mine, made.samples, reference=False).corrected == ("give",)
 
 
@@ -281,7 +281,7 @@ def test_a_result_whose_correction_the_problem_does_not_have_is_refused_in_a_sen
     found = sagging[1]
     document = json.loads(json.dumps(found.to_dict(), default=float))
     arm = dataclasses.replace(found.arm, source=load_problem(UR5))
-    lacking = dataclasses.replace(arm.source, problem=arm.source.problem.with_effects(Backlash()))
+    lacking = dataclasses.replace(arm.source, problem=arm.source.problem.with_terms(Backlash()))
     with pytest.raises(CasacalError, match=r"corrects an effect .*'give'.* does not have"):
         export(dataclasses.replace(arm, source=lacking), "c")
     found.save(tmp_path)
@@ -443,7 +443,7 @@ def test_gravity_may_pull_another_way(sagging):
     """An arm at a wall: what sags sideways is found where the kit is told so, and not where it is not."""
     made = sagging[0]
     source = load_problem(UR5)
-    own = dataclasses.replace(source, problem=source.problem.with_effects(*kit(down=(0.0, 1.0, 0.0))))
+    own = dataclasses.replace(source, problem=source.problem.with_terms(*kit(down=(0.0, 1.0, 0.0))))
     right, wrong = (calibrate(each, made.samples, reference=False).tried for each in (source, own))
     gains = [next(each.evidence for each in tried if each.key == "give") for tried in (right, wrong)]
     assert gains[0] > 5 * max(gains[1], 1.0)
@@ -505,7 +505,7 @@ def test_an_effect_of_as_many_components_as_none_is_refused():
         def residual(self, here):
             return super().residual(here)[:2]
 
-    problem = Problem(load_problem(UR5).problem.robot, TrackedPoint(noise_std=0.05), effects=(Two(),))
+    problem = Problem(load_problem(UR5).problem.robot, TrackedPoint(noise_std=0.05), terms=(Two(),))
     with pytest.raises(ProblemError, match="'drift' has 2 components"):
         _ = problem.model
 

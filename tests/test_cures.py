@@ -367,7 +367,7 @@ def test_a_verdict_that_denies_the_result_denies_the_figures(hsr, corner_simulat
 def test_it_is_said_when_nothing_helps(three_faces):
     idle = tuple(dataclasses.replace(cure, recommended=False) for cure in three_faces.cures)
     found = dataclasses.replace(three_faces)
-    vars(found)["cures"] = idle
+    vars(found.unjudged)["cures"] = idle
     assert best_cure(found) == ""
     assert nothing_helps(found).startswith("More touches help little: expected tip error ")
     assert nothing_helps(found) in summary(found, "hsr")

@@ -15,7 +15,7 @@ from casacal import CasacalError, bind, calibrate, huber, ipopt, lm, load, load_
 from casacal.binding.seen import moving, seen
 from casacal.cli.main import main
 from casacal.compensation.result_file import sealed
-from casacal.discrepancy import Backlash, Effect, FaceForm, JointField, ThermalGrowth, TransmissionError, kit
+from casacal.discrepancy import Backlash, Effect, FaceForm, JointField, ThermalGrowth, TransmissionError, kit, with_kit
 from casacal.discrepancy.effect import weighted
 from casacal.least_squares.objective import LeastSquares
 from casacal.uncertainty.effect_sizes import _objective, effect_sizes, told
@@ -61,7 +61,7 @@ def put(bound, x, **values):
 
 def test_a_gear_wave_turns_each_joint_by_what_it_says(hsr, clean):
     bare = bind(hsr.problem, clean)
-    bound = bind(hsr.problem.with_effects(TransmissionError(order=2)), clean)
+    bound = bind(hsr.problem.with_terms(TransmissionError(order=2)), clean)
     joints = workspace_joints(hsr.problem.robot)[:7]
     off = np.zeros_like(joints)
     off[:, 2] = 3e-3 * np.cos(2 * joints[:, 2]) - 2e-3 * np.sin(2 * joints[:, 2])
@@ -72,7 +72,7 @@ def test_a_gear_wave_turns_each_joint_by_what_it_says(hsr, clean):
 
 def test_backlash_lags_behind_the_way_by_which_a_joint_came(hsr, clean):
     bare = bind(hsr.problem, clean)
-    bound = bind(hsr.problem.with_effects(Backlash()), clean)
+    bound = bind(hsr.problem.with_terms(Backlash()), clean)
     first = next(name for name, key in zip(bound.names, bound.beside, strict=True) if key == "play")
     lagging = clean.joints.copy()
     lagging[1:, 0] -= 1e-3 * np.sign(np.diff(clean.joints[:, 0]))
@@ -83,7 +83,7 @@ def test_backlash_lags_behind_the_way_by_which_a_joint_came(hsr, clean):
 
 def test_an_arm_that_grows_stretches_its_flange(hsr, clean):
     bare = bind(hsr.problem, clean)
-    bound = bind(hsr.problem.with_effects(ThermalGrowth()), clean)
+    bound = bind(hsr.problem.with_terms(ThermalGrowth()), clean)
     even = next(name for name, key in zip(bound.names, bound.beside, strict=True) if key == "growth")
     x = put(bound, bound.x0, **{even: 1e-3})
     joints = workspace_joints(hsr.problem.robot)[:5]
@@ -94,7 +94,7 @@ def test_an_arm_that_grows_stretches_its_flange(hsr, clean):
 def test_a_field_is_a_process_of_its_size(hsr, clean):
     """Among its own pivots the covariance of the columns is that of the process; nowhere is it more."""
     field = JointField(rank=24)
-    bound = bind(hsr.problem.with_effects(field), clean)
+    bound = bind(hsr.problem.with_terms(field), clean)
     columns = bound.jacobian(bound.x0)[:, [key == "field" for key in bound.beside]] * bound.block.noise
     variance = (columns**2).sum(axis=1)
     assert variance.max() == pytest.approx(1.0, abs=1e-6)
@@ -108,7 +108,7 @@ def test_a_field_is_a_process_of_its_size(hsr, clean):
 
 def test_the_form_of_a_face_is_a_process_over_its_half_widths(hsr, clean):
     """By the squared exponential itself, at places that plain NumPy finds; towards the edges the series has less."""
-    bound = bind(hsr.problem.with_effects(FaceForm()), clean)
+    bound = bind(hsr.problem.with_terms(FaceForm()), clean)
     of_form = np.array([key == "form" for key in bound.beside])
     columns = bound.jacobian(bound.x0)[:, of_form] * bound.block.noise * bound.prior_std[of_form] / FaceForm().size
     tips = bound.tips(bound.x0, clean.joints)
@@ -136,7 +136,7 @@ class Parallax(Effect):
 
 
 def test_an_effect_may_add_to_what_was_read(hsr, clean):
-    bare, bound = bind(hsr.problem, clean), bind(hsr.problem.with_effects(Parallax()), clean)
+    bare, bound = bind(hsr.problem, clean), bind(hsr.problem.with_terms(Parallax()), clean)
     more = bare.on(dataclasses.replace(clean, columns={"reading": clean.columns["reading"] + 0.02}))
     x = put(bound, bound.x0, parallax1=0.02)
     np.testing.assert_allclose(bound.plain_residual(x), more.plain_residual(bare.x0), atol=1e-10)
@@ -156,19 +156,19 @@ class Wobble(Effect):
 
 @pytest.mark.long
 def test_an_effect_of_ones_own_takes_a_few_lines(hsr, clean):
-    problem = hsr.problem.with_effects(Wobble())
+    problem = hsr.problem.with_terms(Wobble())
     wobbling = dataclasses.replace(
         clean, joints=clean.joints - np.outer(2e-3 * np.sin(3 * clean.joints[:, 2]), np.eye(6)[0])
     )
     found = calibrate(problem, wobbling)
-    assert found.fit.problem.effects == problem.effects
+    assert found.fit.problem.terms == problem.terms
     (value,) = (x for x, key in zip(found.result.x, found.fit.beside, strict=True) if key)
     assert 0.2e-3 < value < 2.2e-3
     assert found.tip_std[1] > calibrate(hsr.problem, clean, discrepancy="none", reference=False).tip_std[1]
 
 
 def test_all_solvers_meet_at_one_minimum_with_the_kit(hsr, clean):
-    bound = bind(hsr.problem.with_kit, clean)
+    bound = bind(with_kit(hsr.problem), clean)
     one, two, three = lm(bound), sckf_lm(bound), ipopt(bound)
     assert one.converged
     assert three.converged
@@ -178,17 +178,17 @@ def test_all_solvers_meet_at_one_minimum_with_the_kit(hsr, clean):
 
 def test_the_default_method_filters_the_geometry_and_starts_from_there(hsr, clean):
     """Small effects need no filter: `filter_x` is the path of the geometry alone, effects where they were."""
-    bound, bare = bind(hsr.problem.with_kit, clean), bind(hsr.problem, clean)
+    bound, bare = bind(with_kit(hsr.problem), clean), bind(hsr.problem, clean)
     path, beside = sckf_lm(bound).trace["filter_x"], np.array(bound.beside, dtype=bool)
     assert not path[:, beside].any()
     np.testing.assert_allclose(path[:, ~beside], sckf(bare).trace["x"], rtol=1e-6, atol=1e-9)
 
 
 def test_effects_taken_out_leave_the_information_of_the_dense_formula(hsr, clean):
-    bound = bind(hsr.problem.with_kit, clean)
+    bound = bind(with_kit(hsr.problem), clean)
     j = bound.jacobian(bound.x0)
     effects = np.array([bool(key) for key in bound.beside])
-    moves = {effect.key for effect in bound.problem.effects if effect.moves}
+    moves = {effect.key for effect in bound.problem.terms if effect.moves}
     moving_too = np.array([key in moves for key in bound.beside])
     for view, out in ((seen(bound, bound.x0)[0], effects), (moving(bound, bound.x0)[0], effects & ~moving_too)):
         b = j[:, out] * bound.prior_std[out]
@@ -198,7 +198,7 @@ def test_effects_taken_out_leave_the_information_of_the_dense_formula(hsr, clean
 
 def test_the_likelihood_of_sizes_is_that_of_the_dense_covariance(hsr, clean):
     """Restricted: flat unknowns projected out of a covariance N x N. Differences, for constants have no meaning."""
-    bound = bind(hsr.problem.with_kit, clean)
+    bound = bind(with_kit(hsr.problem), clean)
     x = lm(bound).x
     rows, j, r = told(bound, x), bound.jacobian(x), bound.residual(x)
     y = j @ x - r
@@ -251,7 +251,7 @@ def test_sizes_follow_what_errs_and_stay_where_nothing_does(hsr, clean):
 
     def times(samples):
         bare = bind(hsr.problem, samples)
-        bound = bare.under(hsr.problem.with_kit)
+        bound = bare.under(with_kit(hsr.problem))
         x = put(bound, bound.x0)
         x[[j for j, key in enumerate(bound.beside) if not key]] = lm(bare).x
         return effect_sizes(bound, x, bound.beside, known).times
@@ -384,10 +384,10 @@ def test_who_cannot_take_effects_has_geometry_alone(hsr, clean, way):
 
 def test_other_priors_share_the_kit(hsr):
     problem = load_problem(hsr.path).problem
-    compiled = problem.with_kit.models[0]
+    compiled = with_kit(problem).models[0]
     changed = problem.with_prior({"a": 0.5})
-    assert changed.with_kit.models[0].jacobian is compiled.jacobian
-    assert set(changed.with_kit.robot.parameters["a"].prior_stds) == {0.5}
+    assert with_kit(changed).models[0].jacobian is compiled.jacobian
+    assert set(with_kit(changed).robot.parameters["a"].prior_stds) == {0.5}
 
 
 def test_a_calibration_with_effects_travels(calibrated):
@@ -452,7 +452,7 @@ class Shifted(LeastSquares):
 
 def test_geometry_and_effects_err_by_what_their_covariance_says(hsr, clean):
     """NEES: arms and effects drawn from what is expected of them, rows with noise, fitted again; 95 % for all three."""
-    bound, rng = bind(hsr.problem.with_kit, clean), np.random.default_rng(5)
+    bound, rng = bind(with_kit(hsr.problem), clean), np.random.default_rng(5)
     firm = np.isfinite(bound.prior_std)
     beside = np.array(bound.beside, dtype=bool)
     draws, found = 60, {"geometry": 0.0, "effects": 0.0, "all": 0.0}

@@ -16,6 +16,7 @@ from casacal.checks.rows import outside
 from casacal.checks.setup import tells_a_wrong_sign
 from casacal.cli.adjust import number_or_range
 from casacal.cli.main import main
+from casacal.discrepancy import with_kit
 from casacal.samples.write import write_samples
 from casacal.tables.columns import Labels
 from casacal.uncertainty.figures import leverages
@@ -383,4 +384,4 @@ def test_only_a_slope_of_two_tells_a_wrong_sign(slope, std, wrong):
 
 def test_unknowns_of_effects_need_no_rows_of_their_own(hsr):
     samples = simulate(hsr.problem, hsr.cell, samples=60, seed=1).samples
-    assert all("few rows" not in f.about for f in check(hsr.problem.with_kit, samples))
+    assert all("few rows" not in f.about for f in check(with_kit(hsr.problem), samples))

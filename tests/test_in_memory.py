@@ -367,7 +367,7 @@ def test_parts_of_another_kind_are_refused_in_a_sentence(hsr):
         Problem(5, dial)
     with pytest.raises(CasacalError, match="Got an int as an instrument"):
         Problem(robot, 5)
-    with pytest.raises(CasacalError, match="Got a str as an effect"):
-        Problem(robot, dial, effects=("waves",))
+    with pytest.raises(CasacalError, match="Got a str as a term"):
+        Problem(robot, dial, terms=("waves",))
     with pytest.raises(CasacalError, match="Got an int as a result"):
         read_result(5)

@@ -29,7 +29,7 @@ from casacal import (
     tool_point,
 )
 from casacal.cli.main import main
-from casacal.problem.as_data import problem_from
+from casacal.compensation.as_data import problem_from
 from casacal.tables.columns import Labels
 from casacal.uncertainty.figures import nees
 from casacal.uncertainty.workspace import bayesian_bound, tip_rms, without_rigid, workspace_joints

@@ -12,7 +12,7 @@ import pytest
 from casacal import Joint, Problem, ProblemError, bind, calibrate, load, load_problem, simulate, verify
 from casacal.binding.noise_scale import OTHERS, REPEATABILITY, times
 from casacal.calibration.verdict import verdict_of
-from casacal.discrepancy import GearRipple, kit
+from casacal.discrepancy import GearRipple, kit, with_kit
 from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.uncertainty import discrepancy
@@ -171,7 +171,7 @@ class _Drawn:
 def test_it_is_taken_where_the_dense_likelihood_is_greater(hsr):
     """Restricted likelihood of all rows by their N x N covariance, sizes and noise as they are: no formula shared."""
     bare = bind(hsr.problem, loose(hsr, 1).samples)
-    linear = _Linear.of(bare.with_noise({OTHERS: 2.5}), hsr.problem.with_kit, lm(bare).x)
+    linear = _Linear.of(bare.with_noise({OTHERS: 2.5}), with_kit(hsr.problem), lm(bare).x)
     ends = {OTHERS: 1.0, REPEATABILITY: 18e-6}, {OTHERS: 2.3}
     whole = [linear.ways[0][0].with_noise(scale) for scale in ends]
     logs = [_dense(each, linear.x) for each in whole]
@@ -184,7 +184,7 @@ def test_it_is_taken_where_the_dense_likelihood_is_greater(hsr):
 def _hyper(found):
     """Logarithm of the hyper-priors: log-normal about sizes to expect, wider below, and about the noise as stated."""
     apart = []
-    for effect in found.rows.problem.effects:
+    for effect in found.rows.problem.terms:
         if effect.key in found.times:
             times = found.times[effect.key]
             doubt = effect.doubt if times > 1 else max(effect.doubt, min(effect.doubt**2, 6.0))
@@ -274,10 +274,10 @@ def geared(hsr):
 
 def test_ripple_turns_joints_whose_ratio_is_known(hsr, geared):
     samples = loose(hsr, 0).samples
-    bare, bound = bind(hsr.problem, samples), bind(geared.with_effects(GearRipple()), samples)
+    bare, bound = bind(hsr.problem, samples), bind(geared.with_terms(GearRipple()), samples)
     mine = [j for j, key in enumerate(bound.beside) if key == "ripple"]
     assert len(mine) == 4 * 5
-    assert "ripple" not in bind(hsr.problem.with_kit, samples).beside
+    assert "ripple" not in bind(with_kit(hsr.problem), samples).beside
     joints = workspace_joints(hsr.problem.robot)[:9]
     off, x = np.zeros_like(joints), bound.x0.copy()
     off[:, 2] = 1e-4 * np.cos(80 * joints[:, 2]) + 3e-5 * np.sin(160 * joints[:, 2])
@@ -314,15 +314,15 @@ def test_ratios_that_are_no_numbers_are_refused(hsr, bad):
 def test_effects_that_say_what_cannot_be_are_refused(hsr):
     robot, dial = hsr.problem.robot, hsr.problem.instrument
     for effects, says in (
-        (5, "Got an int as the effects"),
-        (GearRipple(), "Got a GearRipple as the effects"),
+        (5, "Got an int as the terms"),
+        (GearRipple(), "Got a GearRipple as the terms"),
         ((GearRipple(size="a"),), "The size of GearRipple is 'a'"),
         ((GearRipple(size=-1e-6),), "The size of GearRipple is -1e-06"),
         ((GearRipple(doubt=0.5),), "The doubt of GearRipple is 0.5"),
-        ((GearRipple(), GearRipple()), "The effect 'ripple' came twice"),
+        ((GearRipple(), GearRipple()), "The term 'ripple' came twice"),
     ):
         with pytest.raises(ProblemError, match=says):
-            Problem(robot, dial, effects=effects)
+            Problem(robot, dial, terms=effects)
     for down in ("z", (0, 1), (0, 0, 0), (0, 0, math.nan)):
         with pytest.raises(ProblemError, match=r"Gravity points along .*Give three numbers"):
             kit(down=down)

@@ -5,6 +5,7 @@ import pytest
 
 from casacal import bind
 from casacal.binding.seen import ArmAlone
+from casacal.discrepancy import with_kit
 from casacal.estimators import ekf, ipopt, lm, scipy_least_squares, sckf_lm
 from casacal.least_squares.conditioned import Conditioned
 from casacal.least_squares.gaussian import Gaussian
@@ -85,7 +86,7 @@ def test_what_is_held_says_where_the_others_are_to_be_expected(second):
 
 
 def test_what_is_taken_out_moves_freely(problem, halves):
-    whole = bind(problem.with_kit, halves[0])
+    whole = bind(with_kit(problem), halves[0])
     first = lm(whole)
     second = whole.on(halves[1]).with_known(posterior(first))
     fit = lm(second)

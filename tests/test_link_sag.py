@@ -24,7 +24,7 @@ from casacal import (
     simulate,
     tool_point,
 )
-from casacal.discrepancy import GravitySag, LinkSag
+from casacal.discrepancy import GravitySag, LinkSag, with_kit
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
 MASSES = (3.7, 8.4, 2.3, 1.2, 1.2, 0.2)
@@ -82,7 +82,7 @@ def sagging():
 
 
 def test_each_joint_s_give_is_found_where_masses_are_known(sagging):
-    bound = bind(Problem(ROBOT, TRACKER, effects=(KNOWN,)), sagging)
+    bound = bind(Problem(ROBOT, TRACKER, terms=(KNOWN,)), sagging)
     result = lm(bound)
     own = [j for j, key in enumerate(bound.beside) if key == KNOWN.key]
     assert len(own) == 5, "the first joint carries no weight about its axis"
@@ -95,7 +95,7 @@ def test_each_joint_s_give_is_found_where_masses_are_known(sagging):
 @pytest.mark.long
 def test_without_masses_each_joint_gives_to_each_link_and_is_corrected(sagging):
     effect = LinkSag()
-    found = calibrate(Problem(ROBOT, TRACKER, effects=(effect,)), sagging)
+    found = calibrate(Problem(ROBOT, TRACKER, terms=(effect,)), sagging)
     assert abs(found.reference.relative_gap) < 1e-8
     assert found.corrected == ("give",)
     felt = [name for name, key in zip(found.fit.names, found.fit.beside, strict=True) if key == "give"]
@@ -113,7 +113,7 @@ def test_without_masses_each_joint_gives_to_each_link_and_is_corrected(sagging):
 
 def test_size_is_the_sag_of_the_flange(sagging):
     for effect in (LinkSag(size=0.3), dataclasses.replace(KNOWN, size=0.3)):
-        bound = bind(Problem(ROBOT, TRACKER, effects=(effect,)), sagging)
+        bound = bind(Problem(ROBOT, TRACKER, terms=(effect,)), sagging)
         own = [j for j, key in enumerate(bound.beside) if key == "give"]
         rng, x0 = np.random.default_rng(0), bound.x0
         joints = rng.uniform(-np.pi, np.pi, (300, 6))
@@ -131,9 +131,7 @@ def test_a_controller_s_conventions_change_nothing(sagging):
     arm = Robot.from_dh("UR5", alpha=alpha, a=a, d=d, theta=(0.0,) * 6, parallel=(2, 3), conventions=conventions)
     same = dataclasses.replace(sagging, joints=conventions.to_controller(sagging.joints))
     plain = Robot.from_dh("UR5", alpha=alpha, a=a, d=d, theta=(0.0,) * 6, parallel=(2, 3))
-    one, two = (
-        bind(Problem(robot, TRACKER, effects=(KNOWN,)), rows) for robot, rows in ((plain, sagging), (arm, same))
-    )
+    one, two = (bind(Problem(robot, TRACKER, terms=(KNOWN,)), rows) for robot, rows in ((plain, sagging), (arm, same)))
     x = one.x0.copy()
     own = [j for j, key in enumerate(one.beside) if key == "give"]
     x[own] = GIVE[1:]
@@ -142,7 +140,7 @@ def test_a_controller_s_conventions_change_nothing(sagging):
 
 def test_gravity_may_point_elsewhere(sagging):
     wall = dataclasses.replace(KNOWN, down=(2.0, 0.0, 0.0))
-    bound = bind(Problem(ROBOT, TRACKER, effects=(wall,)), sagging)
+    bound = bind(Problem(ROBOT, TRACKER, terms=(wall,)), sagging)
     own = [j for j, key in enumerate(bound.beside) if key == "give"]
     assert len(own) == 6, "about an axis that lies, weights turn the first joint too"
     x, give = bound.x0.copy(), 1e-5 * np.arange(1, 7)
@@ -178,8 +176,8 @@ def test_masses_come_from_a_urdf(tmp_path):
     assert np.allclose(found.centres, [upper, lower])
     assert LinkSag.from_urdf(path, tip="tool").masses == (5.0, 2.0)
     robot = Robot.from_urdf(path, tip="tool")
-    problem = Problem(robot, TrackedPoint(noise_std=0.1), effects=(found,))
-    assert problem.model.unknowns["give"].size == 2, "one give for each joint, both about axes that lie"
+    problem = Problem(robot, TrackedPoint(noise_std=0.1), terms=(found,))
+    assert problem.symbols.unknowns["give"].size == 2, "one give for each joint, both about axes that lie"
 
 
 @pytest.mark.parametrize(
@@ -222,7 +220,7 @@ def test_what_does_not_fit_the_arm_is_said(sagging):
         (LinkSag(masses=MASSES, centres=AT_ZERO[:3]), "Got 3 centres of mass for 6 joints"),
     ):
         with pytest.raises(ProblemError, match=said):
-            bind(Problem(ROBOT, TRACKER, effects=(effect,)), sagging)
+            bind(Problem(ROBOT, TRACKER, terms=(effect,)), sagging)
     for wrong, said in (
         ({"masses": (1.0, -2.0)}, "Got -2.0 as the mass of a link"),
         ({"masses": (0.0, 0.0)}, "The links weigh nothing"),
@@ -243,25 +241,25 @@ def test_what_does_not_fit_the_arm_is_said(sagging):
 
     odd = Robot("crossed", 6, crossed, ROBOT.parameters)
     with pytest.raises(ProblemError, match="do not carry one another in order"):
-        bind(Problem(odd, TRACKER, effects=(LinkSag(),)), sagging)
+        bind(Problem(odd, TRACKER, terms=(LinkSag(),)), sagging)
 
 
 def test_an_upright_scara_carries_nothing():
     table = {"alpha": (0.0,) * 3, "a": (300.0, 250.0, 0.0), "d": (400.0, 0.0, 0.0), "theta": (0.0,) * 3}
     scara = Robot.from_dh("SCARA", **table, joints="RRP")
     effect = LinkSag()
-    problem = Problem(scara, TrackedPoint(noise_std=0.1, tool=Parameter((0.0, 0.0, 10.0))), effects=(effect,))
-    samples = simulate(problem.without_effects, samples=20, seed=0).samples
+    problem = Problem(scara, TrackedPoint(noise_std=0.1, tool=Parameter((0.0, 0.0, 10.0))), terms=(effect,))
+    samples = simulate(problem.without_terms, samples=20, seed=0).samples
     assert "give" not in bind(problem, samples).beside
 
 
 @pytest.mark.long
 def test_it_takes_the_place_of_the_simpler_sag(sagging):
     """Beside it, both shared the sag between them, and one of them was not corrected: two to three times as bad."""
-    kit = Problem(ROBOT, TRACKER).with_kit
-    with_links = kit.with_effects(*kit.effects, KNOWN)
-    assert [effect for effect in with_links.effects if effect.key == "give"] == [KNOWN]
-    assert len(with_links.effects) == len(kit.effects)
+    kit = with_kit(Problem(ROBOT, TRACKER))
+    with_links = kit.with_terms(*kit.terms, KNOWN)
+    assert [effect for effect in with_links.terms if effect.key == "give"] == [KNOWN]
+    assert len(with_links.terms) == len(kit.terms)
     found = calibrate(with_links, sagging, reference=False)
     plain = calibrate(Problem(ROBOT, TRACKER), sagging, reference=False)
     assert "give" in found.corrected
@@ -282,7 +280,7 @@ def test_whose_weight_bends_an_arm_is_told_by_the_rows(weights, tells):
         rows = made.samples
     found = calibrate(source.problem, rows, reference=False)
     assert found.corrected == ("give",)
-    assert [type(each) for each in found.fit.problem.effects if each.key == "give"] == [tells]
+    assert [type(each) for each in found.fit.problem.terms if each.key == "give"] == [tells]
     joints = workspace_joints(ROBOT)
     true = made.true_tips(joints)
     shown = joints - np.array([SOFT * moments(q) for q in joints]) if weights else joints

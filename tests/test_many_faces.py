@@ -135,7 +135,7 @@ def test_declared_effects_are_taken_out_with_their_own_priors(hsr, samples):
     from casacal.discrepancy import GearRipple, GravitySag, kit
 
     effects = [each for each in kit() if not isinstance(each, (GearRipple, GravitySag))]
-    bound = bind(hsr.problem.with_effects(*effects), samples)
+    bound = bind(hsr.problem.with_terms(*effects), samples)
     x = 0.1 * bound.start_std
     found = seen(bound, x)[0]
     kept = found.free

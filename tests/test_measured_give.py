@@ -23,7 +23,7 @@ from casacal.discrepancy import Backlash, TorqueCompliance
 GIVE = np.array([60.0, 120.0, 90.0, 200.0, 250.0, 300.0]) * 1e-6
 NAMES = tuple(f"torque{j}_Nm" for j in range(1, 7))
 effect = TorqueCompliance(columns_of=NAMES)
-problem = Problem(ROBOT, TrackedPoint(noise_std=0.02, tool=tool_point(*TOOL, prior_std=1.0)), effects=(effect,))
+problem = Problem(ROBOT, TrackedPoint(noise_std=0.02, tool=tool_point(*TOOL, prior_std=1.0)), terms=(effect,))
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def loaded():
     """A drawn arm whose joints stand off by give times torque; points of the tip multiplied out in NumPy."""
     rng = np.random.default_rng(6)
     still = Disturbances(resolution=0.0, repeatability=0.0, error_scale=0.0)
-    samples = simulate(problem.without_effects, still, samples=80, seed=1).samples
+    samples = simulate(problem.without_terms, still, samples=80, seed=1).samples
     torques = rng.normal(size=(80, 6)) * [2.0, 40.0, 20.0, 4.0, 3.0, 1.0]
     stands = (flanges(samples.joints + GIVE * torques)[:, :3] @ np.array([*TOOL, 1.0])) + rng.normal(
         size=(80, 3)
@@ -47,7 +47,7 @@ def test_the_give_of_each_joint_is_found(loaded):
     own = [j for j, key in enumerate(bound.beside) if key == effect.key]
     assert np.abs((result.x[own] - GIVE) / result.std[own]).max() < 4
     assert (result.std[own][:5] < 0.1 * GIVE[:5]).all(), "five of six are known well; the last turns the tip alone"
-    without = lm(bind(problem.without_effects, loaded))
+    without = lm(bind(problem.without_terms, loaded))
     assert without.cost > 30 * result.cost
 
 
@@ -71,7 +71,7 @@ def test_torques_that_are_absent_are_asked_for(loaded):
         with pytest.raises((ProblemError, SamplesError), match=said):
             bind(problem, dataclasses.replace(loaded, extra=extra))
     with pytest.raises(ProblemError, match="Got 2 columns of torques for 6 joints"):
-        bind(problem.with_effects(TorqueCompliance(columns_of=NAMES[:2])), loaded)
+        bind(problem.with_terms(TorqueCompliance(columns_of=NAMES[:2])), loaded)
 
 
 CAME = tuple(f"came{j}" for j in range(1, 7))
@@ -90,19 +90,19 @@ def approached(loaded):
 def test_play_is_found_where_columns_say_how_joints_came(approached):
     samples, play = approached
     fine = dataclasses.replace(problem.instrument, noise_std=0.005)
-    told = bind(Problem(ROBOT, fine, effects=(Backlash(columns_of=CAME),)), samples)
+    told = bind(Problem(ROBOT, fine, terms=(Backlash(columns_of=CAME),)), samples)
     result = lm(told)
     own = [j for j, key in enumerate(told.beside) if key == "play"]
     found, std = result.x[own][:6], result.std[own][:6]
     assert np.abs((found - play) / std)[:5].max() < 4
     assert (std[:4] < 0.2 * play[:4]).all()
-    guessed = lm(bind(Problem(ROBOT, fine, effects=(Backlash(),)), samples))
+    guessed = lm(bind(Problem(ROBOT, fine, terms=(Backlash(),)), samples))
     assert guessed.cost > 3 * result.cost, "the row before says nothing of how these joints came"
 
 
 def test_ways_of_approach_that_are_none_are_named(approached):
     samples, _ = approached
-    told = Problem(ROBOT, problem.instrument, effects=(Backlash(columns_of=CAME),))
+    told = Problem(ROBOT, problem.instrument, terms=(Backlash(columns_of=CAME),))
     for column, said in (
         (("up",) * 80, "line 1, column 'came2': 'up' is not a finite number"),
         (("1",) * 79 + ("2",), f"line {samples.lines[79]}, column 'came2': 2 is no way of approach"),
@@ -112,4 +112,4 @@ def test_ways_of_approach_that_are_none_are_named(approached):
     with pytest.raises(ProblemError, match="no column 'came1' of ways of approach"):
         bind(told, dataclasses.replace(samples, extra={}))
     with pytest.raises(ProblemError, match="Got 1 columns of ways of approach for 6 joints"):
-        bind(Problem(ROBOT, problem.instrument, effects=(Backlash(columns_of=CAME[:1]),)), samples)
+        bind(Problem(ROBOT, problem.instrument, terms=(Backlash(columns_of=CAME[:1]),)), samples)

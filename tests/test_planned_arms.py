@@ -16,8 +16,8 @@ from casacal import CasacalError, Cell, Face, Parameter, Robot, SimulationError,
 from casacal.cli.main import main
 from casacal.kinematics import translate_x
 from casacal.planning.clearance import Clearance
-from casacal.problem.cell import Disturbances
 from casacal.robots.links import above_table
+from casacal.simulation.cell import Disturbances
 from casacal.simulation.touches import default_cell
 
 BY_NAME = {arm.name: arm for arm in ARMS}

@@ -95,7 +95,7 @@ def test_other_priors_share_what_was_compiled_and_nothing_else(hsr):
     assert one.prior_std[one.names.index("a3")] == 7.0
     assert np.isinf(one.prior_std[one.names.index("theta2")])
     assert bind(plain, samples).prior_std[one.names.index("a3")] == 0.7
-    assert {u.prior_stds[0] for u in [wide.models[0].unknowns["a"], wide.robot.parameters["a"]]} == {7.0}
+    assert {u.prior_stds[0] for u in [wide.symbols.unknowns["a"], wide.robot.parameters["a"]]} == {7.0}
     np.testing.assert_array_equal(lm(one).x, lm(two).x)
     cell = hsr.cell
     np.testing.assert_array_equal(simulate(wide, cell, seed=1).local["a"], simulate(fresh, cell, seed=1).local["a"])

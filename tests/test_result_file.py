@@ -20,11 +20,11 @@ from test_own_instrument import written
 import casacal
 from casacal import CasacalError, calibrate, load, load_problem, simulate
 from casacal.cli.main import main
+from casacal.compensation.as_data import problem_data, problem_from
 from casacal.compensation.document import misfits, schema_text
 from casacal.compensation.result import Level
 from casacal.compensation.result_file import SCHEMA, read_result
 from casacal.graphs import graph_data, graph_from
-from casacal.problem.as_data import problem_data, problem_from
 
 PROBLEMS = ("hsr_jr680", "ur5", "kuka_iiwa14", "adept_cobra600", "motoman_ma1400")
 URDF = """<robot name="arm">

@@ -42,7 +42,7 @@ def rms(residuals):
 def test_the_arm_that_packages_are_given_is_the_arm_as_drawn(problem, tmp_path):
     """As modified DH by the oracle's chain, and as a URDF read back: the tips of casacal, at postures of the rows."""
     fitted, _ = rows(problem)
-    bound = bind(problem.without_effects, fitted)
+    bound = bind(problem.without_terms, fitted)
     tips, lines = bound.tips(bound.x0, fitted.joints), lines_of(problem, fitted, "a package")
     first, *moves, tool = lines.moves
     alpha, a, theta, d = np.array([np.zeros(4), *map(packages._modified_dh, moves)]).T
@@ -59,7 +59,7 @@ def test_the_arm_that_packages_are_given_is_the_arm_as_drawn(problem, tmp_path):
 
 def test_the_station_they_start_from_is_that_of_the_other_methods():
     fitted, _ = rows(UR5)
-    bound, lines = bind(UR5.without_effects, fitted), lines_of(UR5, fitted, "a package")
+    bound, lines = bind(UR5.without_terms, fitted), lines_of(UR5, fitted, "a package")
     there = lines.station[:3, :3] @ bound.tips(bound.x0, fitted.joints).T + lines.station[:3, 3:]
     np.testing.assert_allclose(there.T - lines.read, bound.plain_residual(bound.x0).reshape(-1, 3), atol=1e-8)
     assert lines.noise == pytest.approx(0.05)
@@ -84,7 +84,7 @@ def test_a_package_finds_the_arm_of_casacals_own_fit(package, capsys):
 def test_pybotics_starts_at_the_drawing_and_ends_nearer(monkeypatch):
     pytest.importorskip("pybotics")
     fitted, unseen = rows(PANDA)
-    bound = bind(PANDA.without_effects, fitted)
+    bound = bind(PANDA.without_terms, fitted)
     still = lambda function, start, args: dataclasses.make_dataclass("Found", ["x"])(start)  # noqa: E731
     drawn = bound.plain_residual(bound.x0).reshape(-1, 3)
     with monkeypatch.context() as patch:

@@ -35,11 +35,11 @@ from casacal import (
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.compensation.arm import covariance_of
+from casacal.compensation.as_data import problem_data, problem_from
 from casacal.compensation.predict import predict
 from casacal.compensation.seen_by import seen_by
 from casacal.errors import UnknownNameError
 from casacal.export.remark import remark
-from casacal.problem.as_data import problem_data, problem_from
 from casacal.uncertainty.figures import nees
 from casacal.uncertainty.learned_priors import prior_tip_rms, scaled_to_accuracy
 from casacal.uncertainty.workspace import bayesian_bound, tip_rms, without_rigid, workspace_joints
@@ -265,7 +265,7 @@ def test_an_instrument_left_out_is_predicted_by_the_others(found):
     alone = Problem(
         problem.robot,
         {name: INSTRUMENTS[name] for name in ("dial", "spike")},
-        effects=found.fit.problem.effects,
+        terms=found.fit.problem.terms,
         shared={"tool": ("dial", "spike")},
     )
     sets = dict(zip(problem.names, found.fit.samples, strict=True))
@@ -546,6 +546,6 @@ def test_covariances_are_those_of_an_instruments_own_unknowns(found):
         names = list(found.seen.names)
         assert len(columns) == (33 if name == "tracker" else 27)
         tool = [names.index(f"{own}tool_{axis}") for axis in "xyz"]
-        local = [each for key, u in problem.measured_by(name).model.unknowns.items() for each in u.names(key)]
+        local = [each for key, u in problem.measured_by(name).symbols.unknowns.items() for each in u.names(key)]
         at = [j for i, j in columns if local[i].startswith("tool_")]
         np.testing.assert_allclose(covariance[np.ix_(at, at)], whole[np.ix_(tool, tool)], rtol=1e-9)

@@ -38,7 +38,7 @@ from casacal.calibration.warnings import warnings
 from casacal.cli.main import main
 from casacal.compensation.document import check_document
 from casacal.compensation.predict import predict
-from casacal.discrepancy import Backlash, GravitySag, LinkSag, TorqueCompliance
+from casacal.discrepancy import Backlash, GravitySag, LinkSag, TorqueCompliance, with_kit
 from casacal.robots.links import Links
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
@@ -105,7 +105,7 @@ def loaded():
     rng = np.random.default_rng(6)
     torques = rng.normal(size=(80, 6)) * USUAL
     rows = measured(lambda _: GIVE * torques, by_name(TORQUES, torques))
-    return calibrate(Problem(ROBOT, POINT, effects=(TorqueCompliance(columns_of=TORQUES),)), rows, reference=False)
+    return calibrate(Problem(ROBOT, POINT, terms=(TorqueCompliance(columns_of=TORQUES),)), rows, reference=False)
 
 
 @pytest.fixture(scope="module")
@@ -243,7 +243,7 @@ def test_each_effect_is_corrected_by_its_own_columns(asked):
     given, ways = rng.normal(size=(150, 6)) * USUAL, rng.choice([-1, 1], size=(150, 6))
     both = measured(lambda _: GIVE * given - PLAY * ways, {**by_name(TORQUES, given), **by_name(CAME, ways)}, count=150)
     effects = (TorqueCompliance(columns_of=TORQUES), Backlash(columns_of=CAME))
-    found = calibrate(Problem(ROBOT, POINT, effects=effects), both, reference=False)
+    found = calibrate(Problem(ROBOT, POINT, terms=effects), both, reference=False)
     now = rng.choice([-1, 1], size=(24, 6))
     true = tips(joints + GIVE * torques - PLAY * now)
     everything, torque, way = (
@@ -322,7 +322,7 @@ def test_a_column_that_never_varies_makes_a_result_that_is_read(tmp_path, asked,
     torques = np.random.default_rng(6).normal(size=(80, 6)) * USUAL
     torques[:, 0] = 0.0
     rows = measured(lambda _: GIVE * torques, by_name(TORQUES, torques))
-    problem = Problem(ROBOT, POINT, effects=(TorqueCompliance(columns_of=TORQUES),))
+    problem = Problem(ROBOT, POINT, terms=(TorqueCompliance(columns_of=TORQUES),))
     calibrate(problem, rows, reference=False).save(tmp_path / "made")
     read = load(tmp_path / "made")
     assert min(read.arm.found.effects.spread.values()) == 0.0
@@ -390,7 +390,7 @@ def test_one_calibration_mixes_payloads_and_tells_them_apart(kind):
     effect, hangs = SAGS[kind]
     kilograms = np.where(np.arange(120) % 2, 4.0, 0.0)
     rows = measured(lambda q: sag(q, kilograms, hangs), {"payload_kg": kilograms}, count=120, seed=2)
-    found = calibrate(Problem(ROBOT, POINT, effects=(effect,)), rows, reference=False)
+    found = calibrate(Problem(ROBOT, POINT, terms=(effect,)), rows, reference=False)
     assert found.told == ("give",)
     joints = postures(np.random.default_rng(4), 30)
     none, five = (table(joints, payload_kg=np.full(30, kg)) for kg in (0.0, 5.0))
@@ -416,7 +416,7 @@ def test_an_arm_that_sags_is_one_arm_whose_payload_is_known_or_as_it_was_on_aver
     kilograms = np.where(np.arange(90) % 2, 4.0, 0.0)
     rows = measured(lambda q: sag(q, kilograms, as_drawn), {"payload_kg": kilograms}, count=90, tips=as_drawn)
     effect = GravitySag(payload="payload_kg", size=0.5)
-    found = calibrate(Problem(ROBOT, POINT, effects=(effect,)), rows, reference=False)
+    found = calibrate(Problem(ROBOT, POINT, terms=(effect,)), rows, reference=False)
     joints = postures(np.random.default_rng(4), 30)
     loaded = table(joints, payload_kg=np.full(30, 4.0))
     assert found.success
@@ -448,7 +448,7 @@ def test_an_arm_that_sags_is_one_arm_whose_payload_is_known_or_as_it_was_on_aver
 
 
 def test_a_payload_that_is_missing_or_none_is_named(loaded):
-    problem = Problem(ROBOT, POINT, effects=(GravitySag(payload="payload_kg"),))
+    problem = Problem(ROBOT, POINT, terms=(GravitySag(payload="payload_kg"),))
     with pytest.raises(ProblemError, match="no column 'payload_kg' of payload"):
         bind(problem, loaded.samples)
     for kind in (GravitySag, LinkSag):
@@ -505,7 +505,7 @@ def test_play_whose_way_is_told_is_corrected_before_faces_too():
         joints=made.samples.joints + half * came,
         extra={name: tuple(map(str, ways)) for name, ways in by_name(CAME, came).items()},
     )
-    problem = source.problem.with_effects(*source.problem.with_kit.effects, Backlash(columns_of=CAME))
+    problem = source.problem.with_terms(*with_kit(source.problem).terms, Backlash(columns_of=CAME))
     found = calibrate(problem, rows, reference=False)
     assert found.told == ("play",)
     joints, now = workspace_joints(problem.robot), rng.choice([-1, 1], size=(400, 6))
@@ -522,7 +522,7 @@ def test_play_whose_way_is_told_is_corrected_before_faces_too():
 @pytest.mark.long
 def test_what_columns_tell_is_left_out_of_plans_and_sessions_and_a_loss_says_so(loaded):
     source = load_problem(ROOT / "problems" / "ur5")
-    problem = source.problem.with_effects(TorqueCompliance(columns_of=TORQUES))
+    problem = source.problem.with_terms(TorqueCompliance(columns_of=TORQUES))
     planned = [plan(each, source.cell, touches=30, pool=200, starts=1).error for each in (problem, source.problem)]
     assert planned[0] == planned[1]
     made = simulate(problem, source.cell, samples=45, seed=1).samples

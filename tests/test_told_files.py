@@ -12,7 +12,7 @@ from casacal.compensation.targets import read_targets
 from casacal.discrepancy import GravitySag, TorqueCompliance
 from casacal.problem.problem_file import ProblemFile
 
-PROBLEM = Problem(ROBOT, POINT, effects=(TorqueCompliance(columns_of=TORQUES), GravitySag(payload="payload_kg")))
+PROBLEM = Problem(ROBOT, POINT, terms=(TorqueCompliance(columns_of=TORQUES), GravitySag(payload="payload_kg")))
 SOURCE = ProblemFile.of(PROBLEM)
 LOADS = np.array([0.0, 0.1, 2.5, 5.0, 1e-7, 3.0])
 
@@ -129,7 +129,7 @@ def test_absurd_amounts_are_refused_with_line_and_column(column, value, said, fo
 
 def test_rows_that_were_read_for_a_problem_without_the_effect_hold_text_that_is_as_good(frame, tmp_path):
     given = written("csv", frame, tmp_path)
-    plain = Samples.from_csv(given, PROBLEM.without_effects.layout())
+    plain = Samples.from_csv(given, PROBLEM.without_terms.layout())
     asked = Samples.from_csv(given, PROBLEM.layout())
     x = np.full(bind(PROBLEM, asked).unknowns, 1e-3)
     np.testing.assert_array_equal(*(bind(PROBLEM, samples).residual(x) for samples in (plain, asked)))

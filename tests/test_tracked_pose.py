@@ -29,7 +29,7 @@ from casacal import (
 )
 from casacal.calibration.page.touches import Touches
 from casacal.calibration.verdict import verdict_of
-from casacal.discrepancy import Drift
+from casacal.discrepancy import Drift, with_kit
 from casacal.instruments.orientations import QUATERNION, Orientation
 from casacal.instruments.tracked_pose import chord
 from casacal.kinematics import position
@@ -281,7 +281,7 @@ def test_orientations_are_not_called_millimetres(rows, tmp_path):
 @pytest.mark.long
 def test_effects_along_the_residual_are_of_its_unit(rows):
     """A field of a millimetre moves positions by millimetres, and no orientation by a radian."""
-    bound = bind(problem.with_kit, rows)
+    bound = bind(with_kit(problem), rows)
     x = bound.x0.copy()
     x[[j for j, key in enumerate(bound.beside) if key in ("field", "drift")]] = 1.0
     moved = (bound.plain_residual(x) - bound.plain_residual(bound.x0)).reshape(-1, 6)
@@ -300,7 +300,7 @@ class Shift(Drift):
 
 @pytest.mark.long
 def test_an_effect_of_one_component_moves_all_of_its_unit_alike(rows):
-    bound = bind(problem.with_effects(Shift()), rows)
+    bound = bind(problem.with_terms(Shift()), rows)
     x = bound.x0.copy()
     x[[j for j, key in enumerate(bound.beside) if key == "drift"]] = 1.0
     moved = (bound.plain_residual(x) - bound.plain_residual(bound.x0)).reshape(-1, 6)

@@ -210,7 +210,7 @@ def test_an_arm_far_outside_its_priors_is_refused(hsr):
 def test_priors_that_are_contradicted_must_not_decide_where_the_tip_is(clean, now, far, refused):
     """Refused where a parameter moved by more than four deviations, and the tip error is over half of the prior's."""
     other = dataclasses.replace(clean, result=moved_to(clean, far))
-    vars(other).update(tip_std=(3.0, now), data_errors=(), noise=clean.noise)
+    vars(other.unjudged).update(tip_std=(3.0, now), data_errors=(), noise=clean.noise)
     verdict = verdict_of(other)
     assert (verdict.level == "do not use") is refused
     assert ("these priors do not fit this arm" in verdict.words) is refused
@@ -225,7 +225,7 @@ def test_residuals_that_nothing_explains_are_refused(clean, low, after, far, ref
     other = dataclasses.replace(clean, result=moved_to(clean, far))
     metrics = {when: {"fit": {"rmse_mm": size}, "heldout": None} for when, size in (("before", 1.0), ("after", after))}
     noise = dataclasses.replace(clean.noise, ratio=2.5, low=low, high=3.0)
-    vars(other).update(tip_std=(3.0, 0.5), data_errors=(), noise=noise, metrics=metrics)
+    vars(other.unjudged).update(tip_std=(3.0, 0.5), data_errors=(), noise=noise, metrics=metrics)
     verdict = verdict_of(other)
     assert (verdict.level == "do not use") is refused
     assert ("2.5 times what the stated noise explains" in verdict.words) is refused
@@ -236,7 +236,7 @@ def test_the_data_check_is_asked_where_the_residuals_call_for_it(clean, low, lev
     other = dataclasses.replace(clean)
     wrong = Finding("error", "joint 2 flipped", "joint 2 seems to be counted in the other direction", "Turn it")
     noise = dataclasses.replace(clean.noise, ratio=2.5, low=low, high=3.0)
-    vars(other).update(data_errors=(wrong,), noise=noise)
+    vars(other.unjudged).update(data_errors=(wrong,), noise=noise)
     assert verdict_of(other).level == level
     assert ("joint 2 flipped" in verdict_of(other).words) is (level == "do not use")
 
@@ -392,7 +392,7 @@ def test_little_gain_and_no_bound(clean):
         ((3.0, math.inf), "do not use", "do not bound"),
     ):
         other = dataclasses.replace(clean)
-        other.__dict__["tip_std"] = figures
+        vars(other.unjudged)["tip_std"] = figures
         verdict = verdict_of(other)
         assert verdict.level == level
         assert says in verdict.words
@@ -663,7 +663,7 @@ def test_a_parameter_absurdly_far_beyond_its_prior_is_refused_by_name(hsr):
     far = found.moves
     assert far.max() > 10
     assert found.noise.low < 2  # the residuals alone would not refuse it
-    vars(found)["data_errors"] = ()
+    vars(found.unjudged)["data_errors"] = ()
     verdict = verdict_of(found)
     assert verdict.level == "do not use"
     assert f"{found.fit.names[int(far.argmax())]} moved by {far.max():.0f} prior" in verdict.words

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from casacal.array_types import Array, Index
 from casacal.binding.nominal import proposed_by, row_columns, told_sizes
 from casacal.binding.slots import Slot, nominals
-from casacal.discrepancy.effect import Site, Survey
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument
 from casacal.kernels.block_rows import Columnwise
 from casacal.problem.compile import RowModel
 from casacal.problem.problem import Problem
+from casacal.problem.term import Site, Survey
 from casacal.samples.samples import Samples
 from casacal.tables.columns import combinations, rows_by_code
 
@@ -43,9 +43,9 @@ class Block:
     row_columns: tuple[Array, ...]
     """Columns of d beside the joint values, each (N,): mm, rad."""
     elsewhere: Array
-    """What stands in these columns (k,) at postures that are no rows: zero, or what an effect says."""
+    """What stands in these columns (k,) at postures that are no rows: zero, or what a term says."""
     usual: Array
-    """The same (k,) for what an effect that nobody corrects does there: of columns that rows tell, their RMS."""
+    """The same (k,) for what a term that nobody takes in does there: of columns that rows tell, their RMS."""
     noise: Array
     """Standard deviation of each residual at the nominal, (N, m): method of errors in variables."""
 
@@ -113,16 +113,16 @@ def make_block(
     _check_stds(instrument, samples)
     row_slots, pattern = _patterns(problem, i, slots, samples)
     columns = np.array([[j for slot in row for j in slot.columns] for row in row_slots], dtype=np.intp)
-    index, none = [list(model.unknowns).index(key) for key in model.constants], np.zeros(0)
+    index, none = [list(problem.symbols_of(i).unknowns).index(key) for key in model.constants], np.zeros(0)
     constants = np.array([np.concatenate([none, *(row[j].nominal for j in index)]) for row in row_slots])
     columns = columns.reshape(len(row_slots), model.residual.numel_in(0))
     constants = constants.reshape(len(row_slots), model.residual.numel_in(1))
     beside = row_columns(problem, i, samples, survey, proposed_by(problem, i, nominals(slots)))
     elsewhere = dict.fromkeys(model.names, 0.0)
-    for effect in model.effects:
-        elsewhere |= effect.away(Site(problem.robot, instrument))
+    for term in model.terms:
+        elsewhere |= term.away(Site(problem.robot, instrument))
     noise, away = np.empty((len(samples), model.components)), np.array(list(elsewhere.values()))
-    usual = np.array(list((elsewhere | told_sizes(model.effects, Site(problem.robot, instrument), survey)).values()))
+    usual = np.array(list((elsewhere | told_sizes(model.terms, Site(problem.robot, instrument), survey)).values()))
     block = Block(model, samples, row_slots, pattern, columns, constants, tuple(beside.values()), away, usual, noise)
     noise[:] = block.at_nominal(model.columns.noise)
     for bad in np.flatnonzero(~((noise > 1 / LARGEST) & (noise < LARGEST)).all(axis=1))[:1]:
@@ -152,9 +152,9 @@ def _patterns(
     problem: Problem, i: int, slots: Sequence[Slot], samples: Samples
 ) -> tuple[tuple[tuple[Slot, ...], ...], NDArray[np.int32]]:
     """Different combinations of slots that rows see, and which of them each row (N,) sees."""
-    label_columns, unknowns, own = problem.layout(i).labels, problem.models[i].unknowns, problem.full_names[i]
-    of_all = {*problem.robot.parameters, *(effect.key for effect in problem.effects if effect.moves)}
-    # what the problem calls each unknown that the instrument sees: its own, the arm's, and those of effects
+    label_columns, unknowns, own = problem.layout(i).labels, problem.symbols_of(i).unknowns, problem.full_names[i]
+    of_all = {*problem.robot.parameters, *(term.key for term in problem.terms if term.moves)}
+    # what the problem calls each unknown that the instrument sees: its own, the arm's, and those of terms
     names = {key: own.get(key, key if key in of_all else problem.prefix(i) + key) for key in unknowns}
     distinct, pattern = combinations([samples.labels[name] for name in label_columns], len(samples))
     if not len(samples):  # an instrument left out: its tip is asked for all the same, whatever its label

@@ -17,7 +17,6 @@ from casacal.binding.nominal import surveys_of
 from casacal.binding.raw_graph import RawGraph
 from casacal.binding.slots import Slot, make_slots, nominals
 from casacal.binding.symbolic import SymbolicProblem
-from casacal.discrepancy.effect import Survey
 from casacal.errors import ProblemError, SamplesError
 from casacal.kernels.filter_passes import FilterRows
 from casacal.kernels.native_rows import NativeKernels, NativeNormal, PackedPieces
@@ -26,6 +25,7 @@ from casacal.least_squares.gaussian import Gaussian
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import DampedStep, ExtendedPass, FilterPass, LeastSquares, Normal
 from casacal.problem.problem import Problem
+from casacal.problem.term import Survey
 from casacal.samples.measurements import Measurements, sets_of
 from casacal.samples.repeats import Repeats, repeats_in
 from casacal.samples.samples import Samples
@@ -124,7 +124,7 @@ class BoundProblem(LeastSquares):
         self.names = tuple(name for slot in seen for name in slot.unknown.names(slot.name))
         self.units = tuple(unit for slot in seen for unit in slot.unknown.units)
         self.beside = tuple(slot.beside for slot in seen for _ in slot.columns)
-        """The effect that each unknown (n,) belongs to, or none."""
+        """The term that each unknown (n,) belongs to, or none."""
         self.x0 = read_only(np.zeros(sum(sizes)))
         self.prior_std = read_only(np.concatenate([none, *(slot.unknown.prior_stds for slot in seen)]))
         self.start_std = read_only(np.concatenate([none, *(slot.unknown.start_stds for slot in seen)]))
@@ -175,7 +175,7 @@ class BoundProblem(LeastSquares):
         return self if count <= most else self.take(np.unique(np.linspace(0, count - 1, most).astype(int)))
 
     def under(self, problem: Problem) -> BoundProblem:
-        """The same rows and nominal values under another problem of the same geometry, such as one with effects."""
+        """The same rows and nominal values under another problem of the same geometry, such as one with other terms."""
         slots = make_slots(problem, self.samples, {slot.name: slot.nominal for slot in self.slots})
         return BoundProblem(problem, slots, self.samples, self._asked, self._threads, self.scale, known=self.known)
 
@@ -185,7 +185,7 @@ class BoundProblem(LeastSquares):
         return BoundProblem(*given, self._stated, known)
 
     def with_sizes(self, times: Mapping[str, float], *, noise: Mapping[str, float] | None = None) -> BoundProblem:
-        """The same rows, sizes of effects multiplied by a factor for each key; with other factors of noise, if any."""
+        """The same rows, priors of terms multiplied by a factor for each key; with other factors of noise, if any."""
         slots = [slot.sized(times.get(slot.beside, 1.0)) for slot in self.slots]
         return self._like(slots, self.samples, self.scale if noise is None else noise)
 
@@ -202,12 +202,12 @@ class BoundProblem(LeastSquares):
         return BoundProblem(*given)
 
     def first_part(self) -> tuple[BoundProblem, Index] | None:
-        """The geometry alone, where there are effects beside it."""
+        """The geometry alone, where there are terms beside it."""
         geometry = np.flatnonzero([not key for key in self.beside])
-        return (self.under(self.problem.without_effects), geometry) if geometry.size < self.unknowns else None
+        return (self.under(self.problem.without_terms), geometry) if geometry.size < self.unknowns else None
 
     def parameters(self) -> Iterator[tuple[str, str, float, int | None]]:
-        """Numbers of all parameters but those of effects: name, unit, nominal, position in x (None when held)."""
+        """Numbers of all parameters but those of terms: name, unit, nominal, position in x (None when held)."""
         return (number for slot in self.slots if not slot.beside for number in slot.numbers())
 
     def noise_factors(self, scale: Mapping[str, float]) -> Array:

@@ -17,15 +17,15 @@ from casacal.samples.samples import Samples
 
 
 class ArmAlone(Conditioned):
-    """The unknowns (s,) of a bound problem's geometry, and of effects beside it none, or those that move the tip.
+    """The unknowns (s,) of a bound problem's geometry, and of terms beside it none, or those that move the tip.
 
-    The others stand at a given x and move freely with these. With `motion`, effects that move the tip are among them.
+    The others stand at a given x and move freely with these. With `motion`, terms that move the tip are among them.
     """
 
     whole: BoundProblem
 
     def __init__(self, whole: BoundProblem, at: Array, *, motion: bool = False) -> None:
-        kept = {effect.key for effect in whole.problem.effects if effect.moves} if motion else set()
+        kept = {term.key for term in whole.problem.terms if term.moves} if motion else set()
         out = np.array([bool(key) and key not in kept for key in whole.beside], dtype=bool)
         super().__init__(whole, ~out, at, out=out)
         self.problem, self.blocks, self.slots = whole.problem, whole.blocks, whole.slots
@@ -66,7 +66,7 @@ def seen(bound: BoundProblem, x: Array, *, motion: bool = False) -> tuple[Seen, 
 
 
 def moving(bound: BoundProblem, x: Array) -> tuple[Seen, Array]:
-    """All that moves the tip at x (n,), geometry and effects beside it, and the part of x that it has."""
+    """All that moves the tip at x (n,), geometry and terms beside it, and the part of x that it has."""
     return seen(bound, x, motion=True)
 
 

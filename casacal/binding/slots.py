@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from casacal.array_types import Array, Index
-from casacal.binding.nominal import nominal_sight
-from casacal.binding.proposal import Place, sought
-from casacal.discrepancy.effect import Site
+from casacal.binding.nominal import Place, nominal_sight, sought
 from casacal.errors import CasacalError, ProblemError, came, said
 from casacal.instruments import Instrument, Sight
 from casacal.instruments.instrument import NoProposalError
 from casacal.problem.problem import Problem
+from casacal.problem.term import Site
 from casacal.samples.samples import Samples
 from casacal.tables.columns import Labels
 from casacal.unknowns import Parameter, Unknown
@@ -101,7 +100,7 @@ class Slot(Value):
     first: int
     datum: bool
     beside: str = ""
-    """The effect beside the geometry that it belongs to, by its key."""
+    """The term beside the geometry that it belongs to, by its key."""
 
     @property
     def name(self) -> str:
@@ -182,10 +181,10 @@ def make_slots(problem: Problem, samples: Sequence[Samples], known: Mapping[str,
         if any(place.nominal is None for place in places):
             found = sought(problem, i, samples[i], places)
             slots[:] = [replace(slot, nominal=read_only(found.get(slot.name, slot.nominal))) for slot in slots]
-        for effect in problem.models[i].effects:
-            for key, unknown in effect.unknowns(Site(problem.robot, instrument)).items():
+        for term in problem.models[i].terms:
+            for key, unknown in term.unknowns(Site(problem.robot, instrument)).items():
                 for label, _ in instances(instrument, key, unknown, samples[i]):
-                    full = key if effect.moves else problem.prefix(i) + key
+                    full = key if term.moves else problem.prefix(i) + key
                     if (full if label is None else f"{full}.{label}") not in taken:
-                        add(full, unknown, label, np.zeros(unknown.nominal_size), False, effect.key)
+                        add(full, unknown, label, np.zeros(unknown.nominal_size), False, term.key)
     return slots

@@ -37,7 +37,7 @@ def next_step(
     if verdict.level == "use with care":
         kept = "" if out is not None else "; --out DIR keeps the result and its report"
         step = next((doubt.step for doubt in doubts(calibration)[:1]), "")
-        asked = calibration.suspicious  # the data check, which named nothing, or the result would be denied
+        asked = calibration.unjudged.suspicious  # the data check, which named nothing, or the result would be denied
         return f"{step or (VERIFY if asked else f'run {check}, which looks closer at the samples')}{kept}."
     if out is None:
         return "add --out DIR to keep the result and its report; casacal compensate, predict and export read it."

@@ -21,6 +21,7 @@ from casacal.checks import Finding
 from casacal.checks.check import labels_alike
 from casacal.checks.set_aside import gross
 from casacal.compensation.arm import CalibratedArm
+from casacal.discrepancy.kit import BY_LINKS, with_link_kit
 from casacal.errors import CasacalError, ProblemError, SamplesError, came
 from casacal.estimators import lm, nlpsol, plane_only
 from casacal.estimators.ipopt import check_solver
@@ -104,33 +105,23 @@ def calibrate(
     source = problem_from(problem)
     rows = samples_from(samples, source)
     run, name = chosen(method, loss)
-    _check_word(noise, "as the noise", "found", "stated")
-    _check_word(outliers, "for the outliers", "set aside", "keep")
-    _check_word(discrepancy, "for the discrepancy", "kit", "none")
+    _check_words(noise, outliers, discrepancy)
     solver = _reference(reference)
     began = time.perf_counter()
-    before_these = _opened(prior, source, rows, loosen, standing, loss)
-    single = Measurements.of(rows if before_these is None else before_these.opened.rows).map(without_copies)
-    groups = [instrument.groups for instrument in source.problem.instruments]
-    fitted, held = split_each(single, holdout, seed, holdout_by, groups)
+    since = _opened(prior, source, rows, loosen, standing, loss)
+    single = Measurements.of(rows if since is None else since.opened.rows).map(without_copies)
+    fitted, held = split_each(single, holdout, seed, holdout_by, [each.groups for each in source.problem.instruments])
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a status says what is not finite
         chosen_rows = single.take(fitted) if held.size else single
-        set_aside, find_noise = outliers == "set aside" and loss is None, noise == "found"
-        if before_these is not None:
-            fit, aside = before_these.bound(chosen_rows.sets[0], set_aside=set_aside)
-            fit = fit if find_noise else fit.with_noise()
-            bare = fit.under(source.problem.without_effects)
-            fit = fit if discrepancy == "kit" else bare
+        set_aside, find_noise, kit = outliers == "set aside" and loss is None, noise == "found", discrepancy == "kit"
+        if since is not None:
+            fit, bare, aside = since.bound(chosen_rows.sets[0], set_aside=set_aside, noise=find_noise, kit=kit)
         else:
-            bare, aside = _bound(source.problem, chosen_rows, set_aside, backend, threads)
-            fit = bare = _with_found_noise(bare, loss) if find_noise else bare
-        if before_these is None and discrepancy == "kit" and loss is None and name not in (*RANDOM, "plane-only"):
-            fit = with_effects(bare, source.problem, find_noise=find_noise)
-            if set_aside and fit is not bare:
-                found = fit, bare, aside, chosen_rows
-                fit, bare, aside = _second_look(source.problem, *found, find_noise, threads)
-        if not source.problem.effects and fit.problem.effects == source.problem.with_link_kit.effects:
-            source = replace(source, problem=source.problem.with_link_kit)  # a result names effects that are not usual
+            kit = kit and loss is None and name not in (*RANDOM, "plane-only")
+            asked = (set_aside, find_noise, kit, loss, backend, threads)
+            fit, bare, aside = _from_drawing(source.problem, chosen_rows, *asked)
+        if not source.problem.terms and fit.problem.terms == BY_LINKS:
+            source = replace(source, problem=with_link_kit(source.problem))  # a result names effects that are not usual
         heldout = bind_further(fit, *single.take(held).sets) if held.size else None
         built = time.perf_counter()
         _LOG.info("%s: %d rows bound, %d unknowns", name, fit.rows, bare.unknowns)
@@ -138,26 +129,31 @@ def calibrate(
         solved = time.perf_counter()
         _LOG.info("%s: %s Cost %.10g after %d steps", name, result.message, result.cost, result.steps)
         before = plane_only(fit)
-        tried = tried_corrections(fit, result) if before_these is None else before_these.result.tried(fit, result)
+        tried = tried_corrections(fit, result) if since is None else since.result.tried(fit, result)
         checked = _check(fit, name, result, solver) if solver else None
     seconds = {"build": built - began, "solve": solved - built, "total": time.perf_counter() - began}
-    return Calibrated(
-        name,
-        seed,
-        rows,
-        fit,
-        heldout,
-        result,
-        before,
-        checked,
-        seconds,
-        source,
-        aside,
-        holdout_by,
-        tried,
-        bare,
-        None if before_these is None else before_these.result,
-    )
+    found = (name, seed, rows, fit, heldout, result, before, checked, seconds, source, aside, holdout_by, tried, bare)
+    return Calibrated(*found, None if since is None else since.result)
+
+
+def _from_drawing(
+    problem: Problem,
+    rows: Measurements,
+    set_aside: bool,
+    find_noise: bool,
+    kit: bool,
+    loss: Loss | None,
+    backend: str | None,
+    threads: int | None,
+) -> tuple[BoundProblem, BoundProblem, tuple[Finding, ...]]:
+    """Rows as they are fitted where the drawing is all that is known, under the geometry alone, and what is wrong."""
+    bare, aside = _bound(problem, rows, set_aside, backend, threads)
+    fit = bare = _with_found_noise(bare, loss) if find_noise else bare
+    if kit:
+        fit = with_effects(bare, problem, find_noise=find_noise)
+        if set_aside and fit is not bare:
+            return _second_look(problem, fit, bare, aside, rows, find_noise, threads)
+    return fit, bare, aside
 
 
 def _opened(
@@ -183,9 +179,15 @@ def _opened(
     return earlier(prior, source, rows, loosen=loosen, standing=standing)
 
 
-def _check_word(given: str, what: str, one: str, other: str) -> None:
-    if given not in (one, other):
-        raise CasacalError(f"Got {came(given)} {what}", f"Give '{one}' or '{other}'")
+def _check_words(noise: str, outliers: str, discrepancy: str) -> None:
+    """Raise CasacalError for a word that is none of those that there are."""
+    for given, what, one, other in (
+        (noise, "as the noise", "found", "stated"),
+        (outliers, "for the outliers", "set aside", "keep"),
+        (discrepancy, "for the discrepancy", "kit", "none"),
+    ):
+        if given not in (one, other):
+            raise CasacalError(f"Got {came(given)} {what}", f"Give '{one}' or '{other}'")
 
 
 def _bound(
@@ -193,7 +195,7 @@ def _bound(
 ) -> tuple[BoundProblem, tuple[Finding, ...]]:
     """Rows under the geometry alone, and what is wrong with those that were set aside, where that is wanted."""
     try:
-        bare = bind(problem.without_effects, *rows.sets, backend=backend, threads=threads)
+        bare = bind(problem.without_terms, *rows.sets, backend=backend, threads=threads)
     except CasacalError as error:
         for slip in labels_alike(problem, rows)[:1]:
             raise ProblemError(f"{error.what}; {slip.cause}", f"{slip.fix}. {error.fix}") from None

@@ -25,7 +25,7 @@ from casacal.compensation.arm import CalibratedArm
 from casacal.errors import CasacalError
 from casacal.files import jsonable, write_text
 from casacal.planning.cures import Cure
-from casacal.uncertainty.beside_geometry import DialError
+from casacal.uncertainty.discrepancy import DialError
 from casacal.uncertainty.expectation import Box
 from casacal.uncertainty.identifiability import Identifiability
 from casacal.uncertainty.prior_moves import PriorMoves
@@ -45,9 +45,7 @@ class Calibrated(Calibration, AsArm):
     @cached_property
     def unjudged(self) -> Calibration:
         """The same calibration with its figures whatever the verdict: what the verdict itself is made of."""
-        bare = Calibration(**{field.name: getattr(self, field.name) for field in fields(Calibration)})
-        vars(bare).update(vars(self))  # what was worked out already goes with it
-        return bare
+        return Calibration(**{field.name: getattr(self, field.name) for field in fields(Calibration)})
 
     @cached_property
     def denied(self) -> bool:

@@ -34,8 +34,7 @@ from casacal.problem.problem_file import ProblemFile
 from casacal.samples.measurements import Measurements
 from casacal.samples.repeats import copies_of
 from casacal.samples.samples import Samples
-from casacal.uncertainty.beside_geometry import DialError, EffectSize, dial_errors, effect_sizes_of
-from casacal.uncertainty.discrepancy import errors_are_shared
+from casacal.uncertainty.discrepancy import DialError, EffectSize, dial_errors, effect_sizes_of, errors_are_shared
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
 from casacal.uncertainty.figures import HALF_WEIGHT
 from casacal.uncertainty.identifiability import (

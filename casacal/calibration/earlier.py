@@ -18,6 +18,7 @@ from casacal.checks.finding import Finding
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.result import Verdict
 from casacal.compensation.result_file import read_result
+from casacal.discrepancy.effect import effects_of
 from casacal.errors import CasacalError, came
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
@@ -62,7 +63,7 @@ class EarlierResult(Value):
 
     def tried(self, fit: BoundProblem, found: Result) -> tuple[Tried, ...]:
         """Effects that were corrected stay so: few new rows could hardly ask again."""
-        known = {each.key: each for each in fit.problem.effects if each.key in fit.beside and each.moves}
+        known = {each.key: each for each in effects_of(fit.problem) if each.key in fit.beside and each.moves}
         told = in_sample_gains(fit, found.x, known)
         return tuple(
             Tried(key, each.words, told[key], {}, key in self.corrected, each.further) for key, each in known.items()
@@ -76,11 +77,13 @@ class RowsSince:
     opened: Opened
     result: EarlierResult
 
-    def bound(self, samples: Samples, *, set_aside: bool) -> tuple[BoundProblem, tuple[Finding, ...]]:
-        """Rows under all that the earlier result knows, and what is wrong with those that were set aside.
+    def bound(
+        self, samples: Samples, *, set_aside: bool, noise: bool, kit: bool
+    ) -> tuple[BoundProblem, BoundProblem, tuple[Finding, ...]]:
+        """Rows under all that the earlier result knows, under the geometry alone, and what is wrong with some.
 
-        With its effects beside the geometry, of their sizes, and with the noise that it found. Raises CasacalError for
-        what cannot be loosened, or stand; SamplesError for too few rows.
+        With its effects beside the geometry, of their sizes (`kit`), and with the noise that it found (`noise`). Raises
+        CasacalError for what cannot be loosened, or stand; SamplesError for too few rows.
         """
         given, source = self.opened, self.opened.source.problem
         standing = self.result.standing
@@ -93,7 +96,10 @@ class RowsSince:
         aside: tuple[Finding, ...] = ()
         if set_aside:
             fresh, aside = _without_gross(fresh)
-        return fresh.bound.with_known(fresh.gaussian), aside
+        fit = fresh.bound.with_known(fresh.gaussian)
+        fit = fit if noise else fit.with_noise()
+        bare = fit.under(fit.problem.without_terms)
+        return (fit if kit else bare), bare, aside
 
 
 def _without_gross(fresh: Fresh) -> tuple[Fresh, tuple[Finding, ...]]:

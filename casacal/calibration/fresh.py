@@ -252,7 +252,7 @@ def _check_columns(problem: Problem, samples: Samples) -> None:
     How large its error is without them is known, but not how rows share it: torques follow the posture, a payload is
     the same for many rows. Neither chi-square nor the error along the arm's own directions has a distribution then.
     """
-    for effect in problem.effects:
+    for effect in problem.terms:
         for name in effect.further:
             if name not in samples.extra:
                 what = f"{samples.file} has no column '{name}', which says what {effect.words} did to each row"

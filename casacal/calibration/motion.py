@@ -11,12 +11,11 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.seen import ArmAlone, Seen, moving
-from casacal.discrepancy.effect import Site
 from casacal.estimators import lm
 from casacal.least_squares.conditioned import Conditioned
 from casacal.least_squares.result import Result
-from casacal.uncertainty.beside_geometry import VERY_STRONG
-from casacal.uncertainty.discrepancy import at_most
+from casacal.problem.term import Site
+from casacal.uncertainty.discrepancy import VERY_STRONG, at_most
 from casacal.uncertainty.expectation import expected_accuracy
 from casacal.uncertainty.transfer import MOST_ROWS, gains, in_sample_gains
 from casacal.uncertainty.workspace import tip_stds, without_rigid, workspace_joints
@@ -184,7 +183,7 @@ def tried_corrections(fit: BoundProblem, result: Result) -> tuple[Tried, ...]:
     sites = [Site(fit.problem.robot, instrument) for instrument in fit.problem.instruments]
     known = {
         effect.key: effect
-        for effect in fit.problem.effects
+        for effect in fit.problem.terms
         if effect.moves
         and effect.key in fit.beside
         and (effect.further or not any(effect.columns(site) for site in sites))

@@ -193,7 +193,7 @@ def write_simulation(
         for i, (place, some) in enumerate(zip(places[len(further) :], measured.sets, strict=True)):
             write_samples(place, source.problem.layout(i), some, comments)
             written.append(replace(source.problem.read(place, i), file=str(targets[i])))
-        document = truth_document(simulation, source, bind(source.problem.without_effects, *written), path.parent)
+        document = truth_document(simulation, source, bind(source.problem.without_terms, *written), path.parent)
         document["data"]["file"] = " and ".join(target.name for target in targets)
         write_json(answer, sealed(document))
     return [*targets, *(place for place, _ in further), truth_path]

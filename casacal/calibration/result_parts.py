@@ -23,12 +23,12 @@ from casacal.calibration.given import Reference
 from casacal.calibration.metrics import parts_of
 from casacal.calibration.motion import besides, tip_error
 from casacal.calibration.told import columns_part, without_columns
+from casacal.compensation.as_data import problem_data
 from casacal.compensation.result_file import SCHEMA
 from casacal.errors import CasacalError
 from casacal.least_squares.result import Result
-from casacal.problem.as_data import problem_data
 from casacal.problem.problem_file import ProblemFile
-from casacal.uncertainty.beside_geometry import DialError
+from casacal.uncertainty.discrepancy import DialError
 from casacal.uncertainty.identifiability import known_from
 from casacal.version import __version__
 
@@ -142,7 +142,7 @@ def discrepancy_part(calibration: Calibration) -> dict[str, Any] | None:
     fit, motion = calibration.fit, calibration.motion
     if not any(fit.beside):
         return None
-    moves = {effect.key: effect.moves for effect in fit.problem.effects}
+    moves = {effect.key: effect.moves for effect in fit.problem.terms}
     effects = [
         {**asdict(each), "shown": each.shown, "moves": moves[each.key], "times": each.size / each.expected_size}
         for each in calibration.effect_sizes

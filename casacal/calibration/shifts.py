@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.discrepancy.effect import Effect, Here, Site
 from casacal.kinematics import Expression, Product, rotate_x, rotate_y, rotate_z, translate
+from casacal.problem.term import Here, Site, Term
 from casacal.uncertainty.workspace import workspace_joints
 from casacal.unknowns import Parameter
 
@@ -23,11 +23,10 @@ WIDE = 10.0  # standard deviation that stands for nothing known; these unknowns 
 
 
 @dataclass(frozen=True)
-class Shifts(Effect):
+class Shifts(Term):
     """Joints, tool and base that stand elsewhere than where they were calibrated."""
 
     size: float = WIDE
-    doubt: float = 1.0
 
     moves = True
     key = "shift"
@@ -53,9 +52,9 @@ class Shifts(Effect):
 
 
 def with_shifts(bound: BoundProblem) -> BoundProblem:
-    """The same rows with these unknowns after all others; priors of effects are lost."""
+    """The same rows with these unknowns after all others; priors of terms are lost."""
     problem = bound.problem
-    return bound.under(problem.with_effects(*problem.effects, Shifts()))
+    return bound.under(problem.with_terms(*problem.terms, Shifts()))
 
 
 def shift_columns(shifted: BoundProblem, key: str) -> NDArray[np.intp]:

@@ -10,7 +10,8 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.calibration.calibration import Calibration
 from casacal.compensation.result import Verdict
-from casacal.discrepancy.effect import Site
+from casacal.discrepancy.effect import effects_of
+from casacal.problem.term import Site
 from casacal.uncertainty.workspace import without_rigid, workspace_joints
 from casacal.wording import listed, mm
 
@@ -19,7 +20,7 @@ def columns_told(calibration: Calibration) -> dict[str, tuple[Array, Array]]:
     """Mean and standard deviation over the fitted rows of each column of a row model that tells a corrected effect."""
     problem, found = calibration.fit.problem, dict[str, list[Array]]()
     for instrument, block in zip(problem.instruments, calibration.fit.blocks, strict=True):
-        for effect in problem.effects:
+        for effect in problem.terms:
             if effect.key in calibration.told:
                 for name, values in effect.told(Site(problem.robot, instrument), block.samples).items():
                     found.setdefault(name, []).append(values)
@@ -67,7 +68,7 @@ def columns_part(calibration: Calibration) -> dict[str, Any]:
 def _ranges(calibration: Calibration) -> dict[str, dict[str, float]]:
     """Lowest and highest value in the fitted rows of the columns that tell an effect by amounts."""
     problem, found = calibration.fit.problem, dict[str, list[Array]]()
-    effects = [effect for effect in problem.effects if effect.key in calibration.told]
+    effects = [effect for effect in effects_of(problem) if effect.key in calibration.told]
     for instrument, block in zip(problem.instruments, calibration.fit.blocks, strict=True):
         for effect in effects:
             for column, values in effect.amounts(Site(problem.robot, instrument), block.samples).items():

@@ -243,7 +243,7 @@ def _ignored_rows(calibration: Calibration) -> Doubt | None:
 
 def _effects_left_out(calibration: Calibration) -> Doubt | None:
     """The problem declares effects beside the geometry, and this fit has none."""
-    declared = calibration.source.problem.effects
+    declared = calibration.source.problem.terms
     if not declared or any(calibration.fit.beside):
         return None
     words = listed([effect.words for effect in declared])

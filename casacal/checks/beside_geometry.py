@@ -10,8 +10,7 @@ from casacal.checks.finding import Finding
 from casacal.estimators import lm
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.uncertainty.beside_geometry import dial_errors, effect_sizes_of
-from casacal.uncertainty.discrepancy import with_effects
+from casacal.uncertainty.discrepancy import dial_errors, effect_sizes_of, with_effects
 from casacal.uncertainty.noise import found_noise
 from casacal.wording import sized
 
@@ -38,7 +37,7 @@ def beside_geometry(problem: Problem, samples: Samples) -> list[Finding]:
 
     In blocks, as nothing is worth compiling for one look.
     """
-    bound = bind(problem.without_effects, samples, backend="blocks")
+    bound = bind(problem.without_terms, samples, backend="blocks")
     bound = with_effects(bound.with_noise(found_noise(bound).scale), problem)
     fit = lm(bound)
     if not fit.converged:

@@ -146,7 +146,7 @@ def table_of(source: ProblemFile, options: argparse.Namespace) -> float:
 
 def on_table(source: ProblemFile, options: argparse.Namespace) -> ProblemFile:
     """The same with the table that was named, and faces above it where the problem file has no cell of its own."""
-    from casacal.problem.cell import Disturbances
+    from casacal.simulation.cell import Disturbances
     from casacal.simulation.touches import default_cell
 
     problem = source.problem

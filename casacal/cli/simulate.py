@@ -15,10 +15,10 @@ from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
     from casacal.planning.route import Route
-    from casacal.problem.cell import Disturbances
     from casacal.problem.problem_file import ProblemFile
     from casacal.robots.robot import Robot
     from casacal.samples.samples import Samples
+    from casacal.simulation.cell import Disturbances
     from casacal.simulation.simulate import Simulation
 
 HELP = "simulate samples, with the true arm"
@@ -77,8 +77,8 @@ def run(options: argparse.Namespace) -> int:
     """Simulate as the options say; returns 0."""
     from casacal.binding.bound_problem import bind
     from casacal.calibration.result_json import sample_paths, write_simulation
-    from casacal.problem.cell import Cell
     from casacal.problem.problem_file import load_problem
+    from casacal.simulation.cell import Cell
     from casacal.simulation.simulate import simulate
     from casacal.uncertainty.expectation import planned_accuracy
     from casacal.wording import METRE, UNBOUNDED
@@ -96,7 +96,7 @@ def run(options: argparse.Namespace) -> int:
     simulation = simulate(source.problem, cell, samples=counts, seed=options.seed, session=options.session)
     lost, warned, remarks = _compared(route, simulation, source.problem.robot)
     simulation, kept = _parted(simulation, route)
-    before, after = planned_accuracy(bind(source.problem.without_effects, simulation.measured))
+    before, after = planned_accuracy(bind(source.problem.without_terms, simulation.measured))
     paths = write_simulation(simulation, source, out, None if kept is None else (checks, kept))
     written = [path.as_posix() for path in paths]
     if options.json:
@@ -201,7 +201,7 @@ def _counted(simulation: Simulation, kept: Samples | None) -> str:
 
 def _where(cell: Disturbances, plan: str | None) -> str:
     """Where samples are taken, in words."""
-    from casacal.problem.cell import Cell
+    from casacal.simulation.cell import Cell
 
     if plan is not None:
         return f"in the postures of {plan}"
@@ -215,7 +215,7 @@ def _beside(simulation: Simulation) -> list[str]:
     from casacal.wording import listed
 
     said = []
-    if columns := [name for effect in simulation.problem.effects for name in effect.further]:
+    if columns := [name for effect in simulation.problem.terms for name in effect.further]:
         said.append(
             f"Not simulated: {listed(columns)}. To calibrate these samples, leave out the effects that need them"
         )
@@ -254,12 +254,11 @@ def _wave(text: str) -> tuple[int, float]:
 
 
 def _cell(source: ProblemFile, options: argparse.Namespace) -> Disturbances:
-    from casacal.problem.cell import AMOUNTS, OF_FACES
+    from casacal.simulation.cell import AMOUNTS, OF_FACES
 
     instrument, problem = source.problem.instruments[0], source.problem
     faced = [name for name, each in zip(problem.names, problem.instruments, strict=True) if each.probe is not None]
-    cell = on_table(source, options).cell
-    assert cell is not None
+    cell: Disturbances = on_table(source, options).cell
     asked = [name.replace("_", "-") for name in OF_FACES if getattr(options, name) is not None]
     if asked and not faced:
         raise CasacalError(f"--{asked[0]} is about faces, and {type(instrument).__name__} touches none", "Leave it out")

@@ -13,7 +13,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.compensation.result import CalibrationResult, Level, result_of
-from casacal.discrepancy import LinkSag
+from casacal.discrepancy import LinkSag, with_kit, with_link_kit
 from casacal.errors import CasacalError, RefusedResultError
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
@@ -43,7 +43,7 @@ class CalibratedArm(Value):
     def with_its_kit(self, problem: Problem) -> Problem:
         """A problem with its effects; where it has none with those of any arm, by whichever weight bends this one."""
         by_links = LinkSag.words in self.found.called.values()
-        return problem.with_link_kit if by_links and not problem.effects else problem.with_kit
+        return with_link_kit(problem) if by_links and not problem.terms else with_kit(problem)
 
     @cached_property
     def used(self) -> Problem:
@@ -53,14 +53,14 @@ class CalibratedArm(Value):
         """
         problem, keys = self.source.problem, self.corrected
         if not keys:
-            return problem.without_effects
-        known = {effect.key: effect for effect in self.with_its_kit(problem).effects}
+            return problem.without_terms
+        known = {term.key: term for term in self.with_its_kit(problem).terms}
         if lost := [key for key in keys if key not in known]:
             raise CasacalError(
                 f"{self.file}: it corrects an effect beside the geometry ('{lost[0]}') that the problem does not have",
                 "Give the problem that it was calibrated with, or calibrate again",
             )
-        return problem.with_effects(*(known[key] for key in keys))
+        return problem.with_terms(*(known[key] for key in keys))
 
     @property
     def corrected(self) -> tuple[str, ...]:
@@ -119,14 +119,14 @@ def local_coordinates(result: CalibratedArm, *, nominal: bool = False, of: Probl
 
     Zero for unknowns that differ by label. Raises CasacalError when the result lacks one.
     """
-    geometry = result.source.problem.without_effects
-    model, known = (of or geometry).model, geometry.model.unknowns
+    geometry = result.source.problem.without_terms
+    symbols, known = (of or geometry).symbols, geometry.symbols.unknowns
     found = {} if nominal else result.found.of_effects
     values = [
-        _local(key, unknown, result, nominal, alone=not model.effects)
+        _local(key, unknown, result, nominal, alone=not symbols.acting)
         if key in known
         else np.array([found.get(name, 0.0) for name in unknown.names(key)])  # of an effect, where it is corrected
-        for key, unknown in model.unknowns.items()
+        for key, unknown in symbols.unknowns.items()
     ]
     return np.concatenate([np.zeros(0), *values])
 
@@ -139,7 +139,7 @@ def row_constants(result: CalibratedArm, of: Problem) -> Array:
     proposed = result.found.proposed
     found = [np.zeros(0)]
     for key in of.model.constants:
-        unknown = of.model.unknowns[key]
+        unknown = of.symbols.unknowns[key]
         known = unknown.nominal if unknown.nominal is not None else proposed.get(key)
         if known is None or np.size(known) != unknown.nominal_size:
             known = np.zeros(unknown.nominal_size)
@@ -151,7 +151,7 @@ def covariance_of(result: CalibratedArm) -> tuple[Array, list[tuple[int, int]]]:
     """Covariance of the result's unknowns (n, n), and which position of the model's z is which of them."""
     covariance, names = named_covariance(result)
     places = {name: j for j, name in enumerate(names)}
-    local = [n for key, u in result.source.problem.model.unknowns.items() for n in u.names(key)]
+    local = [n for key, u in result.source.problem.symbols.unknowns.items() for n in u.names(key)]
     return covariance, [(i, places[name]) for i, name in enumerate(local) if name in places]
 
 

@@ -71,7 +71,7 @@ def compensate(
         raise UnknownNameError("frame", str(frame), FRAMES)
     if not isinstance(largest, (int, float)) or not largest > 0:
         raise CasacalError(f"The largest motion of a joint is {largest!r}", "Give a positive number of rad")
-    rounding, drawn = rounding or Rounding(), result.source.problem.without_effects
+    rounding, drawn = rounding or Rounding(), result.source.problem.without_terms
     nominal = PosedArm.of(drawn, local_coordinates(result, nominal=True), frame, row_constants(result, drawn))
     result.check_usable(force=force)
     _trusted(result, frame)
@@ -79,7 +79,7 @@ def compensate(
     told = TellingColumns.by(result, rows_with(targets, np.arange(len(targets)), still))
     used, local = result.used, local_coordinates(result, of=result.used)
     arm = replace(nominal, local=local)
-    if used.effects:
+    if used.terms:
         arm = PosedArm.of(used, local, frame, row_constants(result, used), told.columns)
     start, positions, rotations = _meant(nominal, targets)
     found: Rows = np.asarray(np.isfinite(start).all(axis=1))
@@ -120,7 +120,7 @@ def _trusted(result: CalibratedArm, frame: str) -> None:
     if frame == "tip":
         keys += list(result.source.problem.instrument.unknowns)
     covariance, columns = covariance_of(result)
-    unknowns = result.source.problem.model.unknowns
+    unknowns = result.source.problem.symbols.unknowns
     named = [(key, name) for key, unknown in unknowns.items() for name in unknown.names(key)]
     lost = [named[i][1] for i, j in columns if named[i][0] in keys and not math.isfinite(covariance[j, j])]
     if lost:

@@ -137,7 +137,7 @@ def predict(
     denial = None if nominal else result.denial
     result.check_usable(force=force or nominal)
     told = NOTHING if nominal else TellingColumns.by(result, joints)
-    problem = result.source.problem.without_effects if nominal else result.used
+    problem = result.source.problem.without_terms if nominal else result.used
     model, instrument = problem.model, problem.instrument
     z = local_coordinates(result, nominal=nominal, of=problem)
     n, read = (
@@ -148,7 +148,7 @@ def predict(
     known, constants = n + len(instrument.columns) + len(instrument.known_columns), row_constants(result, problem)
     poses = stacked_poses(model.batch.pose(z, constants, data)[0])
     positions = model.batch.tip(z, constants, data)[0] if frame == "tip" else poses[:, :3, 3]
-    found = result.found.values(alone=not model.effects)
+    found = result.found.values(alone=not model.terms)
     zeros = RowZeros.of(instrument, joints, found) if frame == "tip" else None
     unseen: tuple[str, ...] = ()
     if zeros is not None and not nominal:

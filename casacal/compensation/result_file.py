@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.as_data import problem_from
 from casacal.compensation.document import check_document
 from casacal.compensation.seen_by import seen_by
 from casacal.errors import CasacalError, came
 from casacal.files import BY, jsonable, recover
-from casacal.problem.as_data import problem_from
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile, SourceFile, load_problem
 from casacal.robots.dh_table import DHTable

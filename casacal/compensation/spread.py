@@ -10,11 +10,11 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm, all_motion, local_coordinates, row_constants, with_effects
 from casacal.compensation.told import NOTHING, NOTHING_TOLD, TellingColumns, whole_rows
-from casacal.discrepancy.effect import Site
 from casacal.errors import CasacalError
 from casacal.instruments import Instrument
 from casacal.kinematics import stacked_poses
 from casacal.problem.compile import RowModel
+from casacal.problem.term import Site
 from casacal.samples.samples import Samples
 from casacal.uncertainty.workspace import tip_stds, up_to_base, workspace_joints
 
@@ -42,13 +42,13 @@ def moved_arm(result: CalibratedArm) -> Moved:
     problem, effects = result.source.problem, with_effects(result)
     problem = problem if effects is None else result.with_its_kit(problem)
     model, away = problem.model, dict.fromkeys(problem.model.names, 0.0)
-    names = [name for key, unknown in model.unknowns.items() for name in unknown.names(key)]
+    names = [name for key, unknown in problem.symbols.unknowns.items() for name in unknown.names(key)]
     if effects is not None:
         lost = sorted(set(result.found.effects.values) - set(names))
         if lost:
             what = f"{result.file}: it holds an effect beside the geometry ('{lost[0]}') that the problem does not have"
             raise CasacalError(what, "Give the problem that it was calibrated with, or calibrate again")
-        for effect in model.effects:
+        for effect in model.terms:
             away |= effect.away(Site(problem.robot, problem.instrument))
         away |= {name: value for name, value in result.found.effects.usual.items() if name in away}
     covariance, known = all_motion(result)

@@ -9,8 +9,8 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm
-from casacal.discrepancy.effect import Site
-from casacal.discrepancy.further import refuse_unless
+from casacal.discrepancy.effect import effects_of, refuse_unless
+from casacal.problem.term import Site
 from casacal.samples.samples import Samples
 from casacal.values import FrozenMapping
 from casacal.wording import listed
@@ -45,7 +45,7 @@ class TellingColumns:
         site, said = Site(arm.source.problem.robot, arm.source.problem.instrument), arm.found.effects
         columns, lacking = dict[str, Array](), dict[str, tuple[str, ...]]()
         away, beyond = dict[str, float](), list[str]()
-        for effect in arm.used.effects:
+        for effect in effects_of(arm.used):
             absent = tuple(name for name in further.get(effect.key, ()) if name not in rows.extra)
             if effect.key not in further:
                 continue

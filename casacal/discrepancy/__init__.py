@@ -3,8 +3,7 @@
 Each says its `size`, and by `doubt` the times by which that may well be more (see `effect.Effect`).
 """
 
-from casacal.discrepancy.arm import GravitySag as GravitySag
-from casacal.discrepancy.arm import ThermalGrowth as ThermalGrowth
+from casacal.discrepancy.compliance import GravitySag as GravitySag
 from casacal.discrepancy.compliance import LinkSag as LinkSag
 from casacal.discrepancy.compliance import TorqueCompliance as TorqueCompliance
 from casacal.discrepancy.effect import Effect as Effect
@@ -14,9 +13,13 @@ from casacal.discrepancy.gears import GearRipple as GearRipple
 from casacal.discrepancy.gears import TransmissionError as TransmissionError
 from casacal.discrepancy.kit import kit as kit
 from casacal.discrepancy.kit import rich_kit as rich_kit
+from casacal.discrepancy.kit import with_kit as with_kit
+from casacal.discrepancy.kit import with_link_kit as with_link_kit
+from casacal.discrepancy.kit import with_rich_kit as with_rich_kit
 from casacal.discrepancy.smooth import Drift as Drift
 from casacal.discrepancy.smooth import FaceForm as FaceForm
 from casacal.discrepancy.smooth import JointField as JointField
+from casacal.discrepancy.smooth import ThermalGrowth as ThermalGrowth
 
 # names of earlier versions
 GearWaves, GravityGive, LinkGive, MeasuredGive = TransmissionError, GravitySag, LinkSag, TorqueCompliance

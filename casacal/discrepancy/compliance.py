@@ -1,30 +1,21 @@
-"""Joints that give: under the weight of the links beyond them, or under torques that were measured."""
+"""Joints that give: under a weight at the flange, under those of the links beyond them, or under measured torques."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array, Rows
-from casacal.discrepancy.arm import LEAST_SAG, POSTURES
-from casacal.discrepancy.effect import Here, Site, weighted
-from casacal.discrepancy.further import (
-    DOWN,
-    LOAD,
-    MASS,
-    ByColumns,
-    Loaded,
-    check_columns_of,
-    read_columns_of,
-    refuse_unless,
-)
+from casacal.discrepancy.effect import ByColumns, Effect, check_columns_of, read_columns_of, refuse_unless, weighted
 from casacal.errors import ProblemError
-from casacal.kinematics import Expression
+from casacal.kinematics import Expression, position
+from casacal.problem.term import Here, Site
 from casacal.robots.files.urdf_links import weights_of
 from casacal.robots.joint_space import random_joints
 from casacal.robots.links import Links
@@ -32,54 +23,116 @@ from casacal.samples.samples import Samples
 from casacal.unknowns import Parameter
 from casacal.values import is_real
 
-LARGEST_TORQUE = 100_000.0  # Nm (N of a sliding joint); beyond it a value is absurd whatever the arm
+LARGEST_PAYLOAD = 10_000.0  # kg; beyond it a value is absurd whatever the arm
+DOWN = (0.0, 0.0, -1.0)  # gravity in the base frame of an arm that stands
+LOAD = 5.0  # kilograms of payload that are expected to pull about as much as all of the arm's own links
+MASS = "payload"  # column of a row model
+APART = 0.5  # by how much of what all give one joint gives more or less than the others
+
+LEAST_SAG = 1.0
+"""Sag (mm) below which joints that give by a radian per metre carry no weight, as those of an upright SCARA."""
+
+POSTURES = 64  # joint values over which an arm's sag is averaged
 
 
 @dataclass(frozen=True, kw_only=True)
-class TorqueCompliance(ByColumns):
-    """Every joint stands off by its own give times the torque that stands in a column of the samples.
+class Loaded(Effect):
+    """An effect of weights, to which a payload adds; a column of the samples may say it, kg per row.
 
-    `predict` and `compensate` correct it where their file has these columns too, measured or commanded, and exports to
-    C and CasADi take the torques as a further input. Where they are not known they stand at their means in the fitted
-    rows.
-
-    Args:
-        columns_of: the column of each joint's torque, in Nm, such as ("torque1_Nm", ...); one for each joint.
-        size: of a joint's give, rad/Nm (mm/N of a sliding one).
-
+    size: by how much the flange sags, mm. down: direction of gravity in the base frame.
     """
 
-    columns_of: tuple[str, ...]
-    size: float = 1e-4
-    doubt: float = 10.0
+    payload: str = ""
+    size: float = 0.15
+    doubt: float = 2.5
+    down: tuple[float, float, float] = DOWN
 
     moves = True
     elastic = True
-    most = 100.0
-    key = "yield"
-    words = "joint compliance under measured torque"
+    unit = "mm"
+    key = "give"
 
-    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
-        """The give of each joint, rad/Nm."""
-        check_columns_of(self.columns_of, len(site.robot.axes), "torques")
-        return {self.key: weighted(np.ones(len(self.columns_of)), self.size, "rad")}
+    def __post_init__(self) -> None:
+        if not isinstance(self.payload, str):
+            fix = "Name the column that holds it, such as 'payload_kg'"
+            raise ProblemError(f"Got {self.payload!r} as the payload", fix)
+        given = np.asarray(self.down)
+        if given.shape != (3,) or given.dtype.kind not in "if" or not 0 < np.linalg.norm(given) < np.inf:
+            raise ProblemError(f"Gravity points along {self.down!r}", "Give three numbers, such as down=(0, 0, -1)")
+        object.__setattr__(self, "down", tuple((given / np.linalg.norm(given)).tolist()))
+
+    @property
+    def further(self) -> tuple[str, ...]:
+        """The column of the payload, if there is one."""
+        return (self.payload,) if self.payload else ()
 
     def columns(self, site: Site) -> tuple[str, ...]:
-        """The torque about each joint."""
+        """The payload, where a column says it."""
         del site
-        return tuple(f"torque_{j + 1}" for j in range(len(self.columns_of)))
+        return (MASS,) if self.payload else ()
 
     def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
-        """As the rows say; raises ProblemError, SamplesError where they do not."""
-        told = read_columns_of(samples, self.columns_of, len(site.robot.axes), "torques")
-        said, fix = f"is absurd (beyond {LARGEST_TORQUE:,.0f} Nm)", "Check the value and its unit"
-        refuse_unless(np.abs(told) <= LARGEST_TORQUE, samples, self.columns_of, told, said, fix)
-        return dict(zip(self.columns(site), told.T, strict=True))
+        """As the rows say (N,), kg; raises ProblemError, SamplesError where they do not."""
+        del site
+        if not self.payload:
+            return {}
+        kilograms = read_columns_of(samples, (self.payload,), 1, "payload")
+        said = f"is no payload from 0 to {LARGEST_PAYLOAD:,.0f} kg"
+        fix = "Give kilograms, 0 for none"
+        refuse_unless((kilograms >= 0) & (kilograms <= LARGEST_PAYLOAD), samples, (self.payload,), kilograms, said, fix)
+        return {MASS: kilograms[:, 0]}
+
+
+@dataclass(frozen=True, kw_only=True)
+class GravitySag(Loaded):
+    """Joints that give under a weight: each in proportion to the lever of that weight about it.
+
+    The weight hangs at the flange or at the tip, or between; all joints give alike, and each a little differently.
+
+    Args:
+        size: by how much the flange sags where all give alike, mm, RMS over the joints' ranges.
+        down: direction of gravity in the base frame.
+        payload: column of the samples that says what hangs at the tip in each row, kg, such as "payload_kg": each joint
+            then gives to it as well, in proportion. `predict` and `compensate` correct the sag where their file has
+            that column; where it lacks it, as with the payload of the fitted rows on average.
+
+    """
+
+    words = "gravity sag"
+
+    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
+        """What all turning joints give to a weight at flange and tip, then each beside it, rad per metre of lever.
+
+        With a payload then what all give to `LOAD` kilograms at the tip, and each beside it.
+        """
+        turns = site.robot.revolute
+        if not turns.any() or not (pull := self._sag_of_one(site)) > LEAST_SAG:
+            return {}
+        each = np.full(int(turns.sum()), APART)
+        loaded = [[1.0], each] if self.payload else []
+        weights = np.concatenate([[1.0, 1.0], each, *loaded]) / pull
+        return {self.key: weighted(weights, self.size, "rad")}
 
     def joints(self, here: Here) -> Expression:
-        """The give times the torque."""
-        u = getattr(here.p, self.key)
-        return ca.vertcat(*(u[j] * getattr(here.row, name) for j, name in enumerate(self.columns(here))))
+        """u dh/dq, h the way of flange and tip along gravity, in metres."""
+        u, count = getattr(here.p, self.key), int(here.robot.revolute.sum())
+        at_zero = SimpleNamespace(**{**vars(here.row), **dict.fromkeys(here.instrument.columns, 0.0)})  # of readings
+        places = (position(here.pose), here.instrument.tip(here.pose, here.p, at_zero))
+        flange, tip = (ca.gradient(ca.dot(ca.DM(self.down), place) / 1000, here.q) for place in places)
+        at_tip = [u[1] + u[k] for k in range(2, 2 + count)]
+        if self.payload:
+            load = getattr(here.row, MASS) / LOAD
+            at_tip = [own + load * (u[2 + count] + u[3 + count + k]) for k, own in enumerate(at_tip)]
+        pulls = iter(at_tip)
+        given = [u[0] * flange[j] + next(pulls) * tip[j] if turns else 0 for j, turns in enumerate(here.robot.revolute)]
+        return ca.vertcat(*given)
+
+    def _sag_of_one(self, site: Site) -> float:
+        """By how much the flange sags (mm RMS) where every joint gives one radian per metre."""
+        postures = random_joints(site.robot, POSTURES, np.random.default_rng(0))
+        levers = np.array(site.robot.traced.levers.map(POSTURES)(postures.T)).reshape(3, POSTURES, -1)
+        along = np.einsum("a,akj->kj", np.array(self.down), levers)[:, site.robot.revolute]
+        return float(np.sqrt(((along**2).sum(axis=1) ** 2).mean()) / 1000)
 
 
 HEAVIEST = 1e5  # kilograms of a link; more is another unit
@@ -207,3 +260,53 @@ class LinkSag(Loaded):
         found = np.sqrt((about**2).mean(axis=1)) * site.robot.revolute[:, None]
         feels: Rows = np.asarray(found > NOTHING * found.max())  # no link before a joint, none about an upright axis
         return feels, float(np.sqrt(((about * sinks[..., None] * feels[:, None]) ** 2).sum(axis=(0, 2)).mean()))
+
+
+LARGEST_TORQUE = 100_000.0  # Nm (N of a sliding joint); beyond it a value is absurd whatever the arm
+
+
+@dataclass(frozen=True, kw_only=True)
+class TorqueCompliance(ByColumns):
+    """Every joint stands off by its own give times the torque that stands in a column of the samples.
+
+    `predict` and `compensate` correct it where their file has these columns too, measured or commanded, and exports to
+    C and CasADi take the torques as a further input. Where they are not known they stand at their means in the fitted
+    rows.
+
+    Args:
+        columns_of: the column of each joint's torque, in Nm, such as ("torque1_Nm", ...); one for each joint.
+        size: of a joint's give, rad/Nm (mm/N of a sliding one).
+
+    """
+
+    columns_of: tuple[str, ...]
+    size: float = 1e-4
+    doubt: float = 10.0
+
+    moves = True
+    elastic = True
+    most = 100.0
+    key = "yield"
+    words = "joint compliance under measured torque"
+
+    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
+        """The give of each joint, rad/Nm."""
+        check_columns_of(self.columns_of, len(site.robot.axes), "torques")
+        return {self.key: weighted(np.ones(len(self.columns_of)), self.size, "rad")}
+
+    def columns(self, site: Site) -> tuple[str, ...]:
+        """The torque about each joint."""
+        del site
+        return tuple(f"torque_{j + 1}" for j in range(len(self.columns_of)))
+
+    def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
+        """As the rows say; raises ProblemError, SamplesError where they do not."""
+        told = read_columns_of(samples, self.columns_of, len(site.robot.axes), "torques")
+        said, fix = f"is absurd (beyond {LARGEST_TORQUE:,.0f} Nm)", "Check the value and its unit"
+        refuse_unless(np.abs(told) <= LARGEST_TORQUE, samples, self.columns_of, told, said, fix)
+        return dict(zip(self.columns(site), told.T, strict=True))
+
+    def joints(self, here: Here) -> Expression:
+        """The give times the torque."""
+        u = getattr(here.p, self.key)
+        return ca.vertcat(*(u[j] * getattr(here.row, name) for j, name in enumerate(self.columns(here))))

@@ -1,223 +1,111 @@
-"""An effect beside the geometry: its unknowns, what it does, and what the fitted rows say of themselves for it."""
+"""What makes a term an effect: a size to expect, how far that may be wrong, and the columns of a file that tell it."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, ClassVar
+import math
+from abc import ABC
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
-from casacal.array_types import Array
-from casacal.instruments import Instrument
-from casacal.instruments.traced_instrument import TracedInstrument
-from casacal.kinematics import Expression
-from casacal.robots.robot import Robot
+from casacal.array_types import Array, Rows
+from casacal.errors import ProblemError, SamplesError
+from casacal.problem.problem import Problem
+from casacal.problem.term import Site, Term
 from casacal.samples.samples import Samples
+from casacal.tables.text import finite_numbers
 from casacal.unknowns import Parameter
-from casacal.unknowns.fits import fitted_plane
-from casacal.user_code import Portable
-from casacal.values import FrozenMapping
+from casacal.values import is_real
+from casacal.wording import listed
 
 
-@dataclass(frozen=True, eq=False)
-class FaceFrame:
-    """Where a face lies, as its touches say: centre (3, mm), two directions in it (2, 3), half widths (2, mm)."""
-
-    centre: Array
-    axes: Array
-    half: Array
-
-    @staticmethod
-    def of(tips: Array) -> FaceFrame:
-        """Of the nominal tips (N, 3; mm) on a face."""
-        plane = fitted_plane(tips)
-        places = (tips - plane.centre) @ plane.across.T
-        low, high = places.min(axis=0), places.max(axis=0)
-        centre = plane.centre + (low + high) / 2 @ plane.across
-        return FaceFrame(centre, plane.across, np.maximum((high - low) / 2, 1.0))
-
-    def places(self, tips: Array) -> Array:
-        """Where tips (N, 3; mm) lie on it (N, 2), -1 to 1 from edge to edge."""
-        return np.asarray((tips - self.centre) @ (np.column_stack([*self.axes]) / self.half))
-
-
-@dataclass(frozen=True)
-class Survey:
-    """Where the fitted rows lie, and when they were measured."""
-
-    faces: Mapping[str, FaceFrame]
-    """By label; of those that were touched three times or more."""
-    lines: tuple[int, ...]
-    """Lines of the rows in order, or of some, evenly over all: when a row was is a matter of rows, not of lines."""
-    samples: Samples
-    """The rows themselves, or, of very many, some of them."""
-
-    @staticmethod
-    def of(samples: Samples, tips: Array, label: str | None) -> Survey:
-        """Of samples with nominal tips (N, 3; mm), on faces that a column names."""
-        faces = {
-            name: FaceFrame.of(tips[rows]) for name, rows in samples.faces(label).rows().items() if len(rows) >= FEWEST
-        }
-        some = np.unique(np.linspace(0, len(samples) - 1, MANY).astype(int))
-        order = np.sort(np.asarray(samples.lines))[some]
-        return Survey(
-            FrozenMapping(faces), tuple(order.tolist()), samples.take(some) if len(samples) > MANY else samples
-        )
-
-    def places(self, samples: Samples, tips: Array, label: str | None) -> Array:
-        """Where on their faces rows lie (N, 2), -1 to 1; the middle of a face that was not fitted."""
-        found = np.zeros((len(samples), 2))
-        for name, rows in samples.faces(label).rows().items():
-            if name in self.faces:
-                found[rows] = self.faces[name].places(tips[rows])
-        return found
-
-    def when(self, samples: Samples) -> Array:
-        """Place (N,) of samples between the first (0) and the last (1) row that was fitted; none lies beyond."""
-        places = np.arange(len(self.lines)) / max(len(self.lines) - 1, 1)
-        return np.interp(np.asarray(samples.lines, dtype=np.float64), self.lines, places)
-
-
-MANY = 2_000  # rows that stand for all of them
-FEWEST = 3  # touches that say where a face lies
-
-
-@dataclass(frozen=True)
-class SurveyedRows:
-    """Rows of an instrument with nominal tips and a survey, as effects see them before anything is fitted."""
-
-    samples: Samples
-    tips: Array
-    """Nominal tips (N, 3; mm)."""
-    survey: Survey
-    """Of the rows that are fitted, these or others."""
-
-
-@dataclass(frozen=True)
-class Site:
-    """Whose effect it is."""
-
-    robot: Robot
-    instrument: Instrument
-
-    @cached_property
-    def components(self) -> int:
-        """Components of the residual in the unit in which the instrument speaks; one where it cannot be built."""
-        instrument = self.instrument
-        if blocks := instrument.blocks:
-            return sum(block.size for block in blocks if block.unit == instrument.words.unit)
-        try:
-            return int(TracedInstrument.of(instrument, self.robot.parameters).graph.numel_out(0))
-        except Exception:  # whatever a user's function raises is said where the arm is traced
-            return 1
-
-
-@dataclass(frozen=True)
-class Here(Site):
-    """One row in symbols, as effects see it."""
-
-    p: Any
-    """Values of all unknowns by name, those of the effects among them."""
-    q: Expression
-    """Joint values (n; rad, mm) as the controller says."""
-    pose: Expression
-    """Flange pose (4x4, mm), with the effects that came before."""
-    row: Any
-    """Columns by name: those that were read, and those that effects ask for."""
-
-
-class Effect(Portable, ABC):
+class Effect(Term, ABC):
     """Something small that arm or cell do and that no link length, twist or offset describes.
 
     Its unknowns are zero on average; how far they are from it is their size: what one would expect of such an arm, to
-    be corrected by what the samples show. A subclass, best a frozen dataclass, says `key`, `words`, `size`, `doubt` and
-    `moves`, and gives `unknowns` and one or more of `joints`, `pose`, `reading` and `residual`.
+    be corrected by what the samples show. Beside what a `Term` has, it says `size` and `doubt`.
     """
 
     size: float
     """Standard deviation to expect of an unknown of weight one, in its unit."""
     doubt: float
     """Times by which the size may well be larger; it may be smaller by the square of it, up to six; one holds it."""
-    elsewhere: ClassVar[float] = 0.0
-    """Value of its columns at postures that are no rows, where the tip is asked for."""
     most: ClassVar[float] = 5.0
     """Times its size that it never exceeds: a gear that is five times as bad is broken, and something else errs."""
     unit: ClassVar[str] = ""
     """Unit of its size; that of its unknowns where empty."""
     elastic: ClassVar[bool] = False
     """Whether a size at the most that it may have is still what it says, as of an arm that is softer than expected."""
-    moves: ClassVar[bool] = False
-    """Whether it moves the tip itself, as a gear does, or only what is read of it, as a dial does."""
-
-    @property
-    @abstractmethod
-    def key(self) -> str:
-        """What the names of its unknowns begin with."""
-
-    @property
-    @abstractmethod
-    def words(self) -> str:
-        """How reports call it."""
-
-    @abstractmethod
-    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
-        """Its unknowns, by key, with a nominal of zero; none where it means nothing to this robot or instrument."""
-
-    def columns(self, site: Site) -> tuple[str, ...]:
-        """Names of what it wants to know of each row beside what the instrument reads."""
-        del site
-        return ()
-
-    def values(self, site: Site, rows: SurveyedRows) -> Mapping[str, Array]:
-        """Those columns (N,) of some rows."""
-        return self.told(site, rows.samples)
-
-    @property
-    def further(self) -> tuple[str, ...]:
-        """Columns of a file that say the first of its `columns`, in their order; the others are then zero.
-
-        Where rows have them, whoever predicts can correct it; none where nobody but the fitted rows can tell.
-        """
-        return ()
-
-    def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
-        """Its columns (N,) as any rows say that have those of `further`; ProblemError where they hold none."""
-        del site, samples
-        return {}
 
     def amounts(self, site: Site, samples: Samples) -> Mapping[str, Array]:
         """Those columns of `further` (N,), by name, that hold amounts: it is known near those of the fitted rows."""
         told = self.told(site, samples)
         return {column: told[name] for column, name in zip(self.further, self.columns(site), strict=False)}
 
-    def away(self, site: Site) -> Mapping[str, float]:
-        """What stands in those columns at postures that are no rows, where the tip is asked for."""
-        return dict.fromkeys(self.columns(site), self.elsewhere)
+    def check(self) -> None:
+        """Raise ProblemError unless size, doubt and most are numbers that mean something."""
+        for what, least in (("size", 0.0), ("doubt", 1.0), ("most", 1.0)):
+            value = getattr(self, what)
+            if not is_real(value) or not least <= value < math.inf or value == 0:
+                fix = f"Give a positive number, {least:g} or more" if least else "Give a positive number"
+                raise ProblemError(f"The {what} of {type(self).__name__} is {value!r}", fix)
 
-    def joints(self, here: Here) -> Expression | None:
-        """By how much joints (n; rad, mm) stand off what the controller says."""
-        del here
-        return None
 
-    def pose(self, here: Here) -> Expression | None:
-        """The flange pose (4x4, mm) as it truly is."""
-        del here
-        return None
-
-    def reading(self, here: Here) -> Mapping[str, Expression]:
-        """What has to be added to columns that were read, by name."""
-        del here
-        return {}
-
-    def residual(self, here: Here) -> Expression | None:
-        """What has to be added to the residual, in its unit: to each component alike, or one for each of them."""
-        del here
-        return None
+def effects_of(problem: Problem) -> tuple[Effect, ...]:
+    """The effects among the terms of a problem."""
+    return tuple(term for term in problem.terms if isinstance(term, Effect))
 
 
 def weighted(weights: Array, size: float, unit: str, per: str | None = None) -> Parameter:
     """Unknowns about zero whose standard deviations are a size times their weights (m,)."""
     return Parameter([0.0] * len(weights), unit=unit, prior_std=[size * float(weight) for weight in weights], per=per)
+
+
+class ByColumns(Effect, ABC):
+    """An effect of which a column of the samples for each joint says something."""
+
+    columns_of: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "columns_of", tuple(self.columns_of))
+
+    @property
+    def further(self) -> tuple[str, ...]:
+        """These columns."""
+        return self.columns_of
+
+
+def check_columns_of(columns: Sequence[str], joints: int, what: str) -> None:
+    """Raise ProblemError unless there is a column for each joint."""
+    if len(columns) != joints:
+        raise ProblemError(f"Got {len(columns)} columns of {what} for {joints} joints", "Name one for each")
+
+
+def read_columns_of(samples: Samples, columns: Sequence[str], joints: int, what: str) -> Array:
+    """Numbers (N, n) of some columns that samples have beside those of their instrument, one for each joint.
+
+    Raises ProblemError where one is missing, SamplesError for a cell that is no number.
+    """
+    check_columns_of(columns, joints, what)
+    if missing := [column for column in columns if column not in samples.extra]:
+        known = ", ".join(samples.extra)
+        others = f", nor {listed(missing[1:])}" if missing[1:] else ""
+        fix = f"Give it; further columns there are: {known}" if known else "Add it, and read the rows with this problem"
+        raise ProblemError(f"{samples.file} has no column '{missing[0]}' of {what}{others}", fix)
+    return np.column_stack([_numbers(samples, column) for column in columns])
+
+
+def _numbers(samples: Samples, column: str) -> Array:
+    """A further column (N,), which samples of another problem hold as text."""
+    cells = samples.extra[column]
+    if isinstance(cells, np.ndarray):
+        return cells
+    return np.array(finite_numbers(samples.file, column, cells, samples.lines))
+
+
+def refuse_unless(good: Rows, samples: Samples, columns: Sequence[str], values: Array, what: str, fix: str) -> None:
+    """Raise SamplesError for the first of some values (N, n) of columns that is not good (N, n)."""
+    for row, j in np.argwhere(~good)[:1]:
+        said, line = f"{values[row, j]:g} {what}", int(samples.lines[row])
+        raise SamplesError(samples.file, said, fix, line=line, column=columns[j])

@@ -10,20 +10,13 @@ import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.discrepancy.effect import Effect, Here, Site, SurveyedRows, weighted
-from casacal.discrepancy.further import ByColumns, read_columns_of, refuse_unless
+from casacal.discrepancy.effect import ByColumns, Effect, read_columns_of, refuse_unless, weighted
 from casacal.kinematics import Expression
+from casacal.problem.compile import per_radian
+from casacal.problem.term import Here, Site, SurveyedRows
 from casacal.robots.robot import Robot
 from casacal.samples.samples import Samples
 from casacal.unknowns import Parameter
-
-PER_RAD = 100.0
-"""Millimetres of a sliding joint that count as a radian: ten micrometres where a turning one errs by 0.1 mrad."""
-
-
-def per_radian(robot: Robot) -> list[float]:
-    """What counts as a radian of each joint: one, or `PER_RAD` mm of a sliding one."""
-    return [1.0 if turns else PER_RAD for turns in robot.revolute]
 
 
 class Waves(Effect, ABC):

@@ -1,13 +1,12 @@
-"""The effects to expect of any arm, whatever measures it."""
+"""The effects to expect of any arm, whatever measures it, and problems that have them as their terms."""
 
 from __future__ import annotations
 
-from casacal.discrepancy.arm import GravitySag, ThermalGrowth
-from casacal.discrepancy.compliance import LinkSag
+from casacal.discrepancy.compliance import DOWN, GravitySag, LinkSag
 from casacal.discrepancy.effect import Effect
-from casacal.discrepancy.further import DOWN
 from casacal.discrepancy.gears import Backlash, GearRipple, TransmissionError
-from casacal.discrepancy.smooth import Drift, FaceForm, JointField
+from casacal.discrepancy.smooth import Drift, FaceForm, JointField, ThermalGrowth
+from casacal.problem.problem import Problem
 
 
 def kit(*, down: tuple[float, float, float] = DOWN, links: bool = False) -> tuple[Effect, ...]:
@@ -32,3 +31,21 @@ def kit(*, down: tuple[float, float, float] = DOWN, links: bool = False) -> tupl
 def rich_kit(*, down: tuple[float, float, float] = DOWN) -> tuple[Effect, ...]:
     """The same for rows that err together by more than each of them does alone: much more of what has no name."""
     return tuple(JointField(reach=0.7, rank=120) if isinstance(each, JointField) else each for each in kit(down=down))
+
+
+STANDARD, BY_LINKS, RICH = kit(), kit(links=True), rich_kit()  # the same values each time: what is compiled knows them
+
+
+def with_kit(problem: Problem) -> Problem:
+    """A problem with its own terms, or with the effects that any arm is expected to have."""
+    return problem if problem.terms else problem.with_terms(*STANDARD)
+
+
+def with_link_kit(problem: Problem) -> Problem:
+    """The same geometry with those of any arm, which sags by the weights of its links."""
+    return problem.with_terms(*BY_LINKS)
+
+
+def with_rich_kit(problem: Problem) -> Problem:
+    """The same with `rich_kit`."""
+    return problem.with_terms(*RICH)

@@ -1,4 +1,4 @@
-"""Errors that are smooth: over a face, over time, and over like postures."""
+"""Errors that are smooth: over a face, over time as by drift and warmth, and over like postures."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from casacal.array_types import Array
-from casacal.discrepancy.effect import Effect, Here, Site, SurveyedRows, weighted
-from casacal.kinematics import Expression
+from casacal.discrepancy.effect import Effect, weighted
+from casacal.kinematics import Expression, Product
+from casacal.problem.term import Here, Site, SurveyedRows
 from casacal.samples.samples import Samples
 from casacal.unknowns import Parameter
 
@@ -128,6 +129,40 @@ class Drift(OverTime):
         """Slope and waves, for each component."""
         shapes = [here.row.when - 0.5, *(ca.cos(math.pi * k * here.row.when) for k in range(1, len(WALK)))]
         return ca.mtimes(ca.reshape(getattr(here.p, self.key), len(WALK), -1).T, ca.vertcat(*shapes))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThermalGrowth(OverTime):
+    """An arm that grows as it warms up, over the order of the lines: evenly, and soon and then no more.
+
+    Args:
+        size: of the growth from the first row to the last, parts of one; steel and aluminium grow by 1.2e-5 and
+            2.4e-5 for each kelvin.
+
+    """
+
+    size: float = 2e-5
+    doubt: float = 2.5
+
+    moves = True
+    elsewhere = 0.5  # some time in a session
+    key = "growth"
+    words = "thermal growth"
+
+    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
+        """Even growth, and growth that ends soon."""
+        del site
+        return {self.key: weighted(np.ones(2), self.size, "1")}
+
+    def pose(self, here: Here) -> Expression:
+        """The flange, its place stretched."""
+        u, t = getattr(here.p, self.key), here.row.when
+        grown = 1 + u[0] * t + u[1] * (1 - ca.exp(-SOON * t))
+        matrix = here.pose.matrix if isinstance(here.pose, Product) else ca.SX(here.pose)
+        return ca.vertcat(ca.horzcat(matrix[:3, :3], matrix[:3, 3] * grown), matrix[3, :])
+
+
+SOON = 5.0  # time constants of early growth in one session
 
 
 JITTER = 1e-9  # added to a covariance of one, so that rows at one place can both be pivots

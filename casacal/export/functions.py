@@ -12,10 +12,10 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm, arm_values, local_coordinates, row_constants
 from casacal.compensation.result_file import arm_from
-from casacal.discrepancy.effect import Site
 from casacal.errors import CasacalError
 from casacal.problem.compile import row_function
 from casacal.problem.problem import Problem
+from casacal.problem.term import Site
 
 
 def pose_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = False, force: bool = False) -> ca.Function:
@@ -32,7 +32,7 @@ def pose_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fal
     arm = arm_from(arm)
     problem = arm.source.problem
     if free:
-        return problem.without_effects.symbols_of(0).value_functions["pose"]
+        return problem.without_terms.symbols_of(0).value_functions["pose"]
     q = ca.SX.sym("q", len(problem.robot.axes))
     if nominal:
         return row_function("pose", [q], [ca.SX(problem.robot.pose(arm_values(arm, nominal=True), q))], ["q"])
@@ -55,7 +55,7 @@ def _row(arm: CalibratedArm, problem: Problem, q: ca.SX, told: ca.SX | None = No
     """The row d (nd) at readings of zero: joint values, and what columns tell in the places of their effects."""
     columns, values = dict[str, Any](), ca.vertsplit(told) if told is not None else []
     site = Site(problem.robot, problem.instrument)
-    effects = {effect.key: effect for effect in problem.effects}
+    effects = {effect.key: effect for effect in problem.terms}
     for key, names in arm.found.effects.further.items():
         columns |= zip(effects[key].columns(site), values[: len(names)], strict=False)
         values = values[len(names) :]
@@ -68,7 +68,7 @@ def pose_at(arm: CalibratedArm, q: ca.SX, told: ca.SX | None = None) -> ca.SX:
     told: what columns tell of effects (k), in the order of `told_names`.
     """
     problem = arm.used
-    if not problem.effects:
+    if not problem.terms:
         return ca.SX(problem.robot.pose(arm_values(arm), q))
     z, c = ca.DM(local_coordinates(arm, of=problem)), ca.DM(row_constants(arm, problem))
     return ca.reshape(problem.symbols.functions["pose"](z, c, _row(arm, problem, q, told)), 4, 4)
@@ -83,9 +83,9 @@ def tip_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fals
     _check(nominal, free)
     arm = arm_from(arm)
     if free:
-        return arm.source.problem.without_effects.symbols.value_functions["tip"]
+        return arm.source.problem.without_terms.symbols.value_functions["tip"]
     q = ca.SX.sym("q", len(arm.source.problem.robot.axes))
-    problem = arm.source.problem.without_effects if nominal else arm.used
+    problem = arm.source.problem.without_terms if nominal else arm.used
     inputs, d = {"q": q}, ca.vertcat(q, ca.DM.zeros(len(problem.symbols.columns)))
     if not nominal:
         inputs = inputs_of(arm, q)
@@ -115,7 +115,7 @@ def values_of(
         known = arm_values(arm, nominal=nominal)
         unknowns = problem.robot.parameters
         return {key: _array(ca.DM(unknown.packed(getattr(known, key)))) for key, unknown in unknowns.items()}
-    symbols = problem.without_effects.symbols
+    symbols = problem.without_terms.symbols
     wanted = [key for key in symbols.value_functions["tip"].name_in() if key in symbols.unknowns]
     if unsure := set(wanted) & set(symbols.constants):
         what = f"The tip depends on '{sorted(unsure)[0]}', which the samples propose or which differs by label"

@@ -195,7 +195,7 @@ def _base(result: CalibratedArm, origin: Array, count: int) -> Array:
 
     What counts as a move of the base is the rigid motion that fits those of the tips over the workspace best.
     """
-    problem = result.source.problem.without_effects
+    problem = result.source.problem.without_terms
     model, joints = problem.model, workspace_joints(problem.robot)
     rows = np.zeros((len(joints), model.tip_jacobian.numel_in(2)))
     rows[:, : joints.shape[1]] = joints

@@ -14,10 +14,10 @@ from casacal.errors import CasacalError
 from casacal.planning.choice import cell_of, drawn_touch
 from casacal.planning.clearance import Clearance
 from casacal.planning.route import Route
-from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import inside_limits
 from casacal.robots.links import above_table
+from casacal.simulation.cell import Cell, Disturbances
 from casacal.simulation.reach import TouchingArm
 from casacal.values import Value
 

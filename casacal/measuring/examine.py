@@ -22,9 +22,9 @@ from casacal.measuring.touch import Slip, Touch, rows_of
 from casacal.planning.choice import pool_of
 from casacal.planning.clearance import Clearance
 from casacal.planning.route import CHECK
-from casacal.problem.cell import Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
+from casacal.simulation.cell import Disturbances
 from casacal.uncertainty.fresh_rows import chance
 from casacal.values import Value
 

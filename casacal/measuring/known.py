@@ -63,7 +63,7 @@ class Known(Value):
 
 def places_of(problem: Problem, samples: Samples) -> dict[str, Array]:
     """Where faces and the like stand by planned rows, which all tell something."""
-    return _proposed(bind(problem.without_effects, samples).slots)
+    return _proposed(bind(problem.without_terms, samples).slots)
 
 
 def _proposed(slots: Sequence[Slot]) -> dict[str, Array]:

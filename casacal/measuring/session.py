@@ -16,8 +16,8 @@ from casacal.measuring.touch import Slip, Touch, columns_of, joints_of, labels_o
 from casacal.planning.choice import refuse_several, wanted_field, wanted_joints
 from casacal.planning.clearance import Clearance
 from casacal.planning.route import CHECK, FIT, Route
-from casacal.problem.cell import Disturbances
 from casacal.problem.problem import Problem
+from casacal.simulation.cell import Disturbances
 from casacal.uncertainty.expectation import Box
 from casacal.values import Value, is_real
 
@@ -61,7 +61,7 @@ class Session(Value):
             raise CasacalError(f"Got {came(self.plan)} as the plan", "Give what plan() or read_route() returns")
         if self.tolerance is not None and not (is_real(self.tolerance) and self.tolerance > 0):
             raise CasacalError(f"Got {came(self.tolerance)} as the tolerance", "Give a positive number of mm")
-        object.__setattr__(self, "problem", self.problem.without_effects)  # some need columns that nobody types in
+        object.__setattr__(self, "problem", self.problem.without_terms)  # some need columns that nobody types in
 
     def __len__(self) -> int:
         return len(self.touches)

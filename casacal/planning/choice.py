@@ -16,10 +16,10 @@ from casacal.errors import CasacalError, SimulationError, came
 from casacal.instruments.description import Probe
 from casacal.planning.clearance import Clearance
 from casacal.planning.exchange import Chosen, Criterion, error_of, exchange
-from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
 from casacal.robots.links import STILL, above_table
 from casacal.samples.samples import Samples, joined
+from casacal.simulation.cell import Cell, Disturbances
 from casacal.simulation.reach import TouchingArm
 from casacal.simulation.simulate import simulate
 from casacal.simulation.touches import default_cell

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError
-from casacal.problem.cell import Cell
 from casacal.robots.links import nodes_of
 from casacal.robots.robot import Robot
+from casacal.simulation.cell import Cell
 from casacal.uncertainty.expectation import Box
 from casacal.values import Value, is_real
 

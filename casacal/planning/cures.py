@@ -22,10 +22,10 @@ from casacal.planning.choice import Choice
 from casacal.planning.estimate import Estimate
 from casacal.planning.extra_touches import CalibratedCell
 from casacal.planning.set_ups import EXTRA_TOUCHES, Offer, more_samples, offers
-from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.simulation.bench import bench_of
+from casacal.simulation.cell import Cell, Disturbances
 from casacal.simulation.rows import exact_rows
 from casacal.simulation.true_arm import Draw
 from casacal.uncertainty.discrepancy import MANY
@@ -216,7 +216,7 @@ def extra_samples(bound: BoundProblem, x: Array) -> Samples | None:
 
     Also None for what touches faces.
     """
-    problem, samples, rng = bound.problem.without_effects, bound.samples[0], np.random.default_rng(0)
+    problem, samples, rng = bound.problem.without_terms, bound.samples[0], np.random.default_rng(0)
     if len(bound.samples) > 1 or problem.instrument.probe is not None:
         return None
     stands = {slot.name: x[slot.columns] for slot in bound.slots}

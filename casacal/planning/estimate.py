@@ -12,9 +12,9 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import OTHERS, by_face, times
 from casacal.binding.slots import Slot, make_slots
-from casacal.problem.cell import Face
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
+from casacal.simulation.cell import Face
 
 
 @dataclass(frozen=True)

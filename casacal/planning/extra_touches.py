@@ -12,9 +12,9 @@ from casacal.array_types import Array, Index
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.slots import ENOUGH
 from casacal.instruments.description import Probe
-from casacal.problem.cell import Cell, Face, triple
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
+from casacal.simulation.cell import Cell, Face, triple
 from casacal.simulation.reach import TouchingArm
 from casacal.simulation.touches import ROUNDS, try_touches
 from casacal.tables.columns import Labels

@@ -12,9 +12,9 @@ from casacal.errors import CasacalError, came
 from casacal.planning.choice import Choice, pool_of, refuse_several, wanted_joints
 from casacal.planning.plan import bound_pool
 from casacal.planning.route import touches_needed
-from casacal.problem.cell import Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
+from casacal.simulation.cell import Disturbances
 from casacal.uncertainty.expectation import Box
 from casacal.values import is_real
 

@@ -20,9 +20,9 @@ from casacal.planning.choice import Choice, cell_of, pool_of, refuse_several, se
 from casacal.planning.clearance import Clearance
 from casacal.planning.exchange import Chosen, Criterion
 from casacal.planning.route import AGAIN, CHECK, FIT, Route, shortest_way
-from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples, joined
+from casacal.simulation.cell import Cell, Disturbances
 from casacal.uncertainty.expectation import Box
 from casacal.values import FrozenMapping, is_real
 from casacal.wording import html_table
@@ -120,7 +120,7 @@ def plan(
     best, few = _enough_of_each(problem, reachable, choice, touches - checks - repeats, starts, rng, wanted)
     twice = best[np.linspace(0, len(best) - 1, repeats).astype(int)] if repeats else best[:0]
     left = np.setdiff1d(np.flatnonzero(~few) if after is None else np.arange(pool), best)
-    fresh = kept_to_verify(problem.without_effects, reachable, left, checks, rng)
+    fresh = kept_to_verify(problem.without_terms, reachable, left, checks, rng)
     way = shortest_way(problem.robot, reachable.joints[np.concatenate([best, fresh])])
     order = np.concatenate([np.concatenate([best, fresh])[way], twice])
     purposes = [FIT] * len(best) + [CHECK] * len(fresh)
@@ -222,7 +222,7 @@ def bound_pool(
             raise CasacalError(f"Got {came(after)} as touches that were made", "Give what problem.read(path) returns")
         after.check(problem.layout())
         pool = joined(pool, after)
-    bound = bind(problem.without_effects, pool)  # some effects need columns that only measured rows have
+    bound = bind(problem.without_terms, pool)  # some effects need columns that only measured rows have
     refuse_unknown("unknown", loose or {}, bound.names)
     return bound
 

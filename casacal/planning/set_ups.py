@@ -14,8 +14,8 @@ from casacal.binding.noise_scale import by_face
 from casacal.errors import CasacalError
 from casacal.planning.choice import Choice, cell_of, pool_of, wanted_joints
 from casacal.planning.extra_touches import STEP, CalibratedCell, block_on, fresh, inclined, raised, rising
-from casacal.problem.cell import Cell, Disturbances, Face
 from casacal.problem.problem import Problem
+from casacal.simulation.cell import Cell, Disturbances, Face
 from casacal.uncertainty.expectation import Box
 from casacal.values import Value
 
@@ -157,7 +157,7 @@ def set_ups(
     if not 3 <= touches <= POOL:
         raise CasacalError(f"{touches} touches were asked for", f"Give 3 to {POOL}")
     found = list[SetUp]()
-    for words, other, place in _ways(problem.without_effects, still):
+    for words, other, place in _ways(problem.without_terms, still):
         try:
             pool_of(other, place, FEW * len(place.faces), seed)  # soon says what is out of reach
             bound = bind(other, pool_of(other, place, POOL, seed))

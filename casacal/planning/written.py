@@ -17,9 +17,9 @@ from casacal.planning.clearance import Clearance
 from casacal.planning.plan import Plan
 from casacal.planning.route import AGAIN, CHECK, FIT, postures_text
 from casacal.planning.set_ups import POOL, SetUp, worth_most
-from casacal.problem.cell import Cell
 from casacal.problem.problem import Problem
 from casacal.robots.links import is_chain
+from casacal.simulation.cell import Cell
 from casacal.wording import METRE, UNBOUNDED
 
 FLAT = 0.93  # error over that of fewer touches above which more bring little

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
 
-from casacal.discrepancy.effect import Effect
-from casacal.discrepancy.gears import per_radian
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument
 from casacal.kernels.backend import VARIABLE, row_kernels
@@ -21,9 +19,17 @@ from casacal.kernels.block_rows import Columnwise, CurvatureKernel
 from casacal.kernels.filter_passes import Cubature
 from casacal.kernels.rows import Kernels
 from casacal.kinematics import position
+from casacal.problem.term import Term
 from casacal.problem.trace import Trace
 from casacal.robots.robot import Robot
-from casacal.unknowns import Unknown
+
+PER_RAD = 100.0
+"""Millimetres of a sliding joint that count as a radian: ten micrometres where a turning one errs by 0.1 mrad."""
+
+
+def per_radian(robot: Robot) -> list[float]:
+    """What counts as a radian of each joint: one, or `PER_RAD` mm of a sliding one."""
+    return [1.0 if turns else PER_RAD for turns in robot.revolute]
 
 
 def position_jacobian(point: ca.SX, z: ca.SX) -> ca.SX:
@@ -69,13 +75,17 @@ def _own_variances(instrument: Instrument, components: int, columns: Mapping[str
 
 @dataclass(frozen=True)
 class RowModel:
-    """The compiled functions of one robot with one instrument, of (z, c, d) but where another argument is named."""
+    """The compiled functions of one robot with one instrument, of (z, c, d) but where another argument is named.
 
-    unknowns: Mapping[str, Unknown]
+    They know no priors: problems that differ in these alone have one model between them.
+    """
+
     constants: tuple[str, ...]
     """Keys of the unknowns whose nominal is part of c, in order."""
-    effects: tuple[Effect, ...]
-    """What arm and cell do beside their geometry, of what there is at this robot and instrument."""
+    terms: tuple[Term, ...]
+    """Those that mean something to this robot and instrument."""
+    linear: int
+    """How many of z, the last, are of terms."""
     names: tuple[str, ...]
     """Columns of d beside the joint values, in order."""
     residual: ca.Function
@@ -139,8 +149,7 @@ class RowModel:
     @cached_property
     def curvature(self) -> CurvatureKernel:
         """Cost, gradient and exact Hessian over many rows at one (v, c), for the IPOPT reference."""
-        beside = {key for effect in self.effects for key in self.unknowns if key == effect.key}
-        return CurvatureKernel(self.raw_residual, linear=sum(self.unknowns[key].size for key in beside))
+        return CurvatureKernel(self.raw_residual, linear=self.linear)
 
     @cached_property
     def batch(self) -> SimpleNamespace:
@@ -152,17 +161,6 @@ class RowModel:
         return SimpleNamespace(**{name: form(each) for name, each in functions.items() if each is not None})
 
 
-def models_like(models: Sequence[RowModel], robot: Robot, instruments: Sequence[Instrument]) -> tuple[RowModel, ...]:
-    """The same models for unknowns that differ in their priors alone; what was compiled of them stays compiled."""
-    found = []
-    for model, instrument in zip(models, instruments, strict=True):
-        known = {**robot.parameters, **instrument.unknowns}
-        found.append(replace(model, unknowns={key: known.get(key, was) for key, was in model.unknowns.items()}))
-        declared = {field.name for field in fields(model)}
-        vars(found[-1]).update({name: made for name, made in vars(model).items() if name not in declared})
-    return tuple(found)
-
-
 def compile_rows(traced: Trace) -> RowModel:
     """Compile what was traced of one robot with one instrument.
 
@@ -170,15 +168,16 @@ def compile_rows(traced: Trace) -> RowModel:
     """
     seen, z, e = traced.seen, traced.z, traced.residual
     inputs, (v, raw_residual), origin = [z, traced.c, traced.d], traced.raw, ca.SX(position(seen.pose))
+    declared = {**traced.robot.parameters, **traced.instrument.unknowns}
     by_joint = ca.jacobian(e, traced.q) @ ca.diag(ca.DM(per_radian(traced.robot)))
 
     def made(name: str, *outputs: ca.SX) -> ca.Function:
         return row_function(name, inputs, list(outputs))
 
     return RowModel(
-        unknowns=traced.unknowns,
         constants=tuple(traced.constants),
-        effects=traced.acting,
+        terms=traced.acting,
+        linear=z.numel() - sum(unknown.size for unknown in declared.values()),
         names=tuple(traced.columns),
         residual=made("residual", e),
         jacobian=made("jacobian", e, traced.jacobian.T),

@@ -11,22 +11,20 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-from casacal.discrepancy import Effect, kit, rich_kit
 from casacal.errors import ProblemError, SamplesError, UnknownNameError, came, refuse_unknown
 from casacal.instruments import Instrument, Words
 from casacal.instruments.instrument import check_declaration, with_setting, with_unknown
-from casacal.problem.compile import RowModel, models_like
-from casacal.problem.symbols import Symbols
+from casacal.problem.compile import RowModel
+from casacal.problem.symbols import Compiled, Symbols
+from casacal.problem.term import Term
 from casacal.robots.robot import Robot
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
 from casacal.tables.read import read_any_table
 from casacal.tables.text import KEY, joined_tables
 from casacal.unknowns import Unknown
-from casacal.values import EMPTY, FrozenMapping, Value, is_real
+from casacal.values import EMPTY, FrozenMapping, Value
 from casacal.wording import html_table
-
-KITS = ("with_kit", "with_link_kit", "with_rich_kit")
 
 NAME = re.compile("[A-Za-z][A-Za-z0-9_-]*")
 
@@ -43,8 +41,8 @@ class Problem(Value):
 
     robot: Robot
     instruments: tuple[Instrument, ...]
-    effects: tuple[Effect, ...]
-    """What arm and cell do beside their geometry."""
+    terms: tuple[Term, ...]
+    """What rows may show beside the geometry."""
     names: tuple[str, ...]
     """Of the instruments."""
     shared: Shared
@@ -54,26 +52,31 @@ class Problem(Value):
         self,
         robot: Robot,
         *instruments: Instrument | Mapping[str, Instrument],
-        effects: Sequence[Effect] = (),
+        terms: Sequence[Term] = (),
         shared: Mapping[str, Sequence[str]] = EMPTY,
+        compiled: Compiled | None = None,
     ) -> None:
         """Put a problem together.
 
         Args:
             robot: the arm.
             instruments: one; or several, in a mapping by name, such as {"dial": ..., "tracker": ...}.
-            effects: what arm and cell do beside their geometry; none takes those that any arm is expected to have.
+            terms: what rows may show beside the geometry, such as `casacal.discrepancy` has; without any, `calibrate`
+                takes those that any arm is expected to have.
             shared: which unknowns some instruments have in common, such as {"tool": ("dial", "spike")} where one tip
                 touches plates and a spike. All others are an instrument's own.
+            compiled: of a problem that differs in terms and priors alone; by default nothing is compiled yet.
 
         """
         named = _by_name(instruments)
-        _check_parts(robot, tuple(named.values()), effects)
-        object.__setattr__(self, "effects", tuple(effects))
+        _check_parts(robot, tuple(named.values()), terms)
+        object.__setattr__(self, "terms", tuple(terms))
         object.__setattr__(self, "robot", robot)
         object.__setattr__(self, "instruments", tuple(named.values()))
         object.__setattr__(self, "names", tuple(named))
         object.__setattr__(self, "shared", _shared_by(shared, named))
+        if compiled is not None:
+            object.__setattr__(self, "_compiled", compiled)
 
     def __eq__(self, other: object) -> bool:
         """Whether both are about the same arm and instruments, to the last operation of their residuals."""
@@ -124,7 +127,7 @@ class Problem(Value):
 
     def measured_by(self, name: str) -> Problem:
         """The same arm with one of its instruments; raises UnknownNameError where there is no such one."""
-        return Problem(self.robot, {name: self.instruments[self.number(name)]}, effects=self.effects)
+        return Problem(self.robot, {name: self.instruments[self.number(name)]}, terms=self.terms)
 
     def number(self, name: str) -> int:
         """Which instrument has a name, from 0; raises UnknownNameError where none has it."""
@@ -144,12 +147,17 @@ class Problem(Value):
         )
 
     def with_parts(
-        self, robot: Robot, instruments: Sequence[Instrument], effects: Sequence[Effect] | None = None
+        self,
+        robot: Robot,
+        instruments: Sequence[Instrument],
+        *,
+        terms: Sequence[Term] | None = None,
+        compiled: Compiled | None = None,
     ) -> Problem:
-        """The same with another robot, other instruments of the same names, perhaps other effects."""
+        """The same with another robot, other instruments of the same names, perhaps other terms; see `Problem`."""
         together = dict(zip(self.names, instruments, strict=True))
-        effects = self.effects if effects is None else effects
-        return Problem(robot, together, effects=effects, shared=self.shared)
+        terms = self.terms if terms is None else terms
+        return Problem(robot, together, terms=terms, shared=self.shared, compiled=compiled)
 
     @property
     def model(self) -> RowModel:
@@ -161,13 +169,17 @@ class Problem(Value):
     def digest(self) -> str:
         """SHA-256 of what it computes, of its priors and of what its instruments read."""
         parts = [f"{self.layout(i)!r}\n{model.text}" for i, model in enumerate(self.models)]
-        parts += [f"{key} {unknown!r}" for key, unknown in self._named()] + [repr(effect) for effect in self.effects]
+        parts += [f"{key} {unknown!r}" for key, unknown in self._named()] + [repr(term) for term in self.terms]
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
     @cached_property
+    def _compiled(self) -> Compiled:
+        return Compiled()
+
+    @cached_property
     def models(self) -> tuple[RowModel, ...]:
-        """Compiled functions, one set per instrument; built on first use."""
-        return tuple(symbols.model for symbols in self._symbols)
+        """Compiled functions, one set per instrument; built on first use, for all that differ in priors alone."""
+        return self._compiled.models(self.terms, self._symbols)
 
     @property
     def symbols(self) -> Symbols:
@@ -184,7 +196,7 @@ class Problem(Value):
 
     @cached_property
     def _symbols(self) -> tuple[Symbols, ...]:
-        return tuple(Symbols(self.robot, instrument, self.effects) for instrument in self.instruments)
+        return tuple(Symbols(self.robot, instrument, self.terms) for instrument in self.instruments)
 
     def layout(self, instrument: int = 0) -> Layout:
         """Columns a samples file of one instrument must have."""
@@ -196,7 +208,7 @@ class Problem(Value):
             columns=FrozenMapping(dict(chosen.columns)),
             labels=tuple(labels),
             refused=FrozenMapping(dict(chosen.refused_columns)),
-            further=tuple(dict.fromkeys(name for effect in self.effects for name in effect.further)),
+            further=tuple(dict.fromkeys(name for term in self.terms for name in term.further)),
         )
 
     def read(
@@ -262,11 +274,7 @@ class Problem(Value):
         changed = self
         for name, std in stds.items():
             changed = changed._edit(name, partial(_with_std, name, std))
-        if "models" in vars(self):  # what is compiled knows no priors
-            vars(changed)["models"] = models_like(self.models, changed.robot, changed.instruments)
-        made = {} if self.effects else {key: vars(self)[key] for key in KITS if key in vars(self)}
-        vars(changed).update({key: problem.with_prior(stds) for key, problem in made.items()})
-        return changed
+        return changed.with_parts(changed.robot, changed.instruments, compiled=self._compiled)
 
     def with_settings(self, values: Mapping[str, float | tuple[float, float]]) -> Problem:
         """Copy with other numbers of its instrument, such as {"sign": -1}, {"noise_std": 0.02}, {"travel": (-5, 5)}.
@@ -281,30 +289,15 @@ class Problem(Value):
             changed[i] = with_setting(changed[i], setting if len(changed) > 1 else name, value)
         return self.with_parts(self.robot, changed)
 
-    def with_effects(self, *effects: Effect) -> Problem:
-        """Copy with these effects beside the geometry, in the place of those it had; of one key the last."""
-        known = {getattr(effect, "key", effect): effect for effect in effects}
-        return self.with_parts(self.robot, self.instruments, tuple(known.values()))
+    def with_terms(self, *terms: Term) -> Problem:
+        """Copy with these terms beside the geometry, in the place of those it had; of one key the last."""
+        known = {getattr(term, "key", term): term for term in terms}
+        return self.with_parts(self.robot, self.instruments, terms=tuple(known.values()), compiled=self._compiled)
 
     @cached_property
-    def without_effects(self) -> Problem:
+    def without_terms(self) -> Problem:
         """Its geometry alone."""
-        return self.with_effects() if self.effects else self
-
-    @cached_property
-    def with_kit(self) -> Problem:
-        """With its own effects, or those that any arm is expected to have."""
-        return self if self.effects else self.with_effects(*kit())
-
-    @cached_property
-    def with_link_kit(self) -> Problem:
-        """With those of any arm, which sags by the weights of its links."""
-        return self.with_effects(*kit(links=True))
-
-    @cached_property
-    def with_rich_kit(self) -> Problem:
-        """The same with `rich_kit`."""
-        return self.with_effects(*rich_kit())
+        return self.with_terms() if self.terms else self
 
     def free_names(self) -> list[str]:
         """Keys and components that `fix` and `with_prior` understand."""
@@ -347,25 +340,21 @@ class Problem(Value):
         return self.with_parts(robot, changed)
 
 
-def _check_parts(robot: Any, instruments: Sequence[Any], effects: Sequence[Any]) -> None:
-    """Raise ProblemError for what is no robot, instrument or effect, for names that collide, and without any noise."""
+def _check_parts(robot: Any, instruments: Sequence[Any], terms: Sequence[Any]) -> None:
+    """Raise ProblemError for what is no robot, instrument or term, for names that collide, and without any noise."""
     if not isinstance(robot, Robot):
         raise ProblemError(f"Got {came(robot)} as the robot", "Give a Robot, such as Robot.from_dh(...) makes")
     if not instruments:
         raise ProblemError(f"Problem '{robot.name}' has no instrument", "Give at least one, such as DialOnPlane")
-    if not isinstance(effects, (tuple, list)):
-        raise ProblemError(f"Got {came(effects)} as the effects", "Give them in a tuple, such as kit() makes")
-    for effect in effects:
-        if not isinstance(effect, Effect):
-            raise ProblemError(f"Got {came(effect)} as an effect", "Give what casacal.discrepancy has, or one's own")
-        for what, least in (("size", 0.0), ("doubt", 1.0), ("most", 1.0)):
-            value = getattr(effect, what)
-            if not is_real(value) or not least <= value < math.inf or value == 0:
-                fix = f"Give a positive number, {least:g} or more" if least else "Give a positive number"
-                raise ProblemError(f"The {what} of {type(effect).__name__} is {value!r}", fix)
-    keys = [effect.key for effect in effects]
+    if not isinstance(terms, (tuple, list)):
+        raise ProblemError(f"Got {came(terms)} as the terms", "Give them in a tuple")
+    for term in terms:
+        if not isinstance(term, Term):
+            raise ProblemError(f"Got {came(term)} as a term", "Give what casacal.discrepancy has, or one's own")
+        term.check()
+    keys = [term.key for term in terms]
     if twice := next((key for key in keys if keys.count(key) > 1), ""):
-        raise ProblemError(f"The effect '{twice}' came twice", "Give each once")
+        raise ProblemError(f"The term '{twice}' came twice", "Give each once")
     noisy_joints = any(joint.repeatability_std > 0 for joint in robot.axes)
     for instrument in instruments:
         check_declaration(instrument)

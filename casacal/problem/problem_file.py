@@ -7,9 +7,9 @@ import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from casacal.errors import CasacalError, ProblemError, came, said
-from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
 from casacal.user_code import BESIDE, line_of, run_file
 from casacal.values import Value
@@ -33,9 +33,13 @@ class SourceFile:
         return SourceFile(Path(path).as_posix(), hashlib.sha256(data).hexdigest(), text)
 
 
+class Surroundings:
+    """What a problem.py may define as `cell` beside its problem: what stands around the arm, for whoever asks."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class ProblemFile(Value):
-    """A problem, and the problem.py it was read from; `cell` is None when the file defines none.
+    """A problem, and the problem.py it was read from; `cell` is a `Cell`, or None when the file defines none.
 
     A problem that was made in Python has the path "" and the SHA-256 of what it computes. `files` are all that it was
     made from: problem.py, modules beside it, the URDF or DH table that its arm was read from.
@@ -45,7 +49,7 @@ class ProblemFile(Value):
     path: str
     sha256: str
     problem: Problem
-    cell: Disturbances | None
+    cell: Any
     files: tuple[SourceFile, ...] = ()
 
     @staticmethod
@@ -104,7 +108,7 @@ def load_problem(path: str | Path) -> ProblemFile:
     if not isinstance(problem, Problem):
         what = "" if problem is None else f" as a Problem, but {came(problem)}"
         raise ProblemError(f"{file} does not define `problem`{what}", "Add problem = Problem(robot, DialOnPlane(...))")
-    if cell is not None and not isinstance(cell, Cell):
+    if cell is not None and not isinstance(cell, Surroundings):
         raise ProblemError(f"{file} defines `cell` as a {type(cell).__name__}", "Make it a Cell(...)")
     name = file.parent.name if file.name == "problem.py" and file.parent.name else file.stem
     name = "".join(letter if letter.isprintable() else "_" for letter in name)  # it stands in exports

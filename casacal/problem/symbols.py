@@ -9,7 +9,8 @@ symbols.value_functions["pose"](alpha=..., a=..., d=..., theta=..., q=q)        
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -17,6 +18,7 @@ import casadi as ca
 
 from casacal.errors import ProblemError
 from casacal.problem.compile import RowModel, compile_rows, residual_noise, row_function
+from casacal.problem.term import Term
 from casacal.problem.trace import Trace
 from casacal.values import FrozenMapping, alike, short
 
@@ -117,7 +119,7 @@ class Symbols(Trace):
         if self is other or not isinstance(other, Symbols):
             return self is other
         one, two = self.instrument, other.instrument
-        if self.robot != other.robot or not alike(self.effects, other.effects):
+        if self.robot != other.robot or not alike(self.terms, other.terms):
             return False
         if one == two:
             return True
@@ -144,6 +146,21 @@ class Symbols(Trace):
         ]
         head = f"Symbols of {self.robot.name}, measured by {type(self.instrument).__name__}"
         return "\n".join([head, *(f"  {name:<9}{shape!s:>5}  {what}".rstrip() for name, shape, what in rows)])
+
+
+@dataclass(frozen=True)
+class Compiled:
+    """What was compiled of one robot and its instruments, for all problems that differ in terms and priors alone."""
+
+    _found: list[tuple[tuple[Term, ...], tuple[RowModel, ...]]] = field(default_factory=list)
+
+    def models(self, terms: tuple[Term, ...], symbols: Sequence[Symbols]) -> tuple[RowModel, ...]:
+        """One for each instrument, with these very terms; what was not compiled yet is, of its symbols."""
+        for known, models in self._found:
+            if len(known) == len(terms) and all(one is other for one, other in zip(known, terms, strict=True)):
+                return models
+        self._found.append((terms, tuple(each.model for each in symbols)))
+        return self._found[-1][1]
 
 
 def _shape(expression: Any) -> str:

@@ -2,7 +2,7 @@
 
 `pose` and `residual` are run once on symbols. Coordinates of a row:
 
-    z  local coordinates of the robot's parameters, the instrument's unknowns and the effects', in that order
+    z  local coordinates of the robot's parameters, the instrument's unknowns and the terms', in that order
     c  numbers that fix those nominal values which differ by label or are proposed by the data
     d  the row itself: joint values, then the instrument's columns, then those known from labels
 """
@@ -17,10 +17,10 @@ from typing import Any
 
 import casadi as ca
 
-from casacal.discrepancy.effect import Effect, Here, Site
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument
 from casacal.kinematics import Expression
+from casacal.problem.term import Here, Site, Term
 from casacal.robots.robot import Robot
 from casacal.robots.traced_pose import traced
 from casacal.unknowns import Unknown
@@ -44,19 +44,19 @@ class Trace(Value):
 
     robot: Robot
     instrument: Instrument
-    effects: tuple[Effect, ...] = ()
+    terms: tuple[Term, ...] = ()
 
     @cached_property
-    def acting(self) -> tuple[Effect, ...]:
-        """What arm and cell do beside their geometry, of what there is at this robot and instrument."""
-        return tuple(effect for effect in self.effects if effect.unknowns(Site(self.robot, self.instrument)))
+    def acting(self) -> tuple[Term, ...]:
+        """Those of the terms that mean something to this robot and instrument."""
+        return tuple(term for term in self.terms if term.unknowns(Site(self.robot, self.instrument)))
 
     @cached_property
     def unknowns(self) -> Mapping[str, Unknown]:
-        """Of the robot, then of the instrument, then of the effects."""
+        """Of the robot, then of the instrument, then of the terms."""
         found: dict[str, Unknown] = {**self.robot.parameters, **self.instrument.unknowns}
-        for effect in self.acting:
-            found |= effect.unknowns(Site(self.robot, self.instrument))
+        for term in self.acting:
+            found |= term.unknowns(Site(self.robot, self.instrument))
         return FrozenMapping(found)
 
     @cached_property
@@ -97,8 +97,8 @@ class Trace(Value):
 
     @cached_property
     def columns(self) -> Mapping[str, ca.SX]:
-        """The row's columns by name: those that are read, those known from labels, those that effects ask for."""
-        beside = (name for effect in self.acting for name in effect.columns(Site(self.robot, self.instrument)))
+        """The row's columns by name: those that are read, those known from labels, those that terms ask for."""
+        beside = (name for term in self.acting for name in term.columns(Site(self.robot, self.instrument)))
         names = dict.fromkeys((*self.instrument.columns, *self.instrument.known_columns, *beside))
         return FrozenMapping({name: ca.SX.sym(name) for name in names})
 
@@ -123,12 +123,12 @@ class Trace(Value):
         p, row, kind = SimpleNamespace(**values), SimpleNamespace(**columns), type(instrument).__name__
         pose = robot.flange(p, q)
         if self.acting:
-            pose, row = _with_effects(Here(robot, instrument, p, q, pose, row), self.acting, columns)
+            pose, row = _with_terms(Here(robot, instrument, p, q, pose, row), self.acting, columns)
         residual = traced(instrument.residual, "residual", kind, None, pose, p, row)
         here = Here(robot, instrument, p, q, pose, SimpleNamespace(**columns))
-        for effect in self.acting:
-            found = traced(effect.residual, "residual", effect.words, None, here, optional=True)
-            residual += _in_its_unit(instrument, residual, found, effect.words)
+        for term in self.acting:
+            found = traced(term.residual, "residual", term.words, None, here, optional=True)
+            residual += _in_its_unit(instrument, residual, found, term.words)
         read = list(instrument.columns)
         if read and not any(ca.depends_on(ca.SX(residual), columns[name]) for name in read):
             raise ProblemError(
@@ -174,27 +174,25 @@ class Trace(Value):
         return symbols, self.at({key: self.unknowns[key].unpacked(symbol) for key, symbol in symbols.items()})
 
 
-def _with_effects(
-    here: Here, effects: Sequence[Effect], columns: Mapping[str, ca.SX]
-) -> tuple[Expression, SimpleNamespace]:
+def _with_terms(here: Here, terms: Sequence[Term], columns: Mapping[str, ca.SX]) -> tuple[Expression, SimpleNamespace]:
     """Flange pose and row as they truly are, where joints, flange and readings err."""
     robot, count = here.robot, len(here.robot.axes)
-    off = [traced(effect.joints, "joints", effect.words, None, here, optional=True) for effect in effects]
+    off = [traced(term.joints, "joints", term.words, None, here, optional=True) for term in terms]
     moved = [each for each in off if each.numel() == count]
     if moved:
         q = here.q + sum(moved, ca.SX.zeros(count))
         here = replace(here, pose=robot.flange(here.p, q))
     read = dict(columns)
-    for effect in effects:
-        if (changed := effect.pose(here)) is not None:
+    for term in terms:
+        if (changed := term.pose(here)) is not None:
             here = replace(here, pose=changed)
-        for name, error in effect.reading(here).items():
+        for name, error in term.reading(here).items():
             read[name] = read[name] + error
     return here.pose, SimpleNamespace(**read)
 
 
 def _in_its_unit(instrument: Instrument, residual: Expression, found: ca.SX, words: str) -> Any:
-    """What an effect adds to the components in the unit in which the instrument speaks; nothing to others."""
+    """What a term adds to the components in the unit in which the instrument speaks; nothing to others."""
     units = [block.unit for block in instrument.blocks for _ in range(block.size)]
     alike = [unit == instrument.words.unit for unit in units]
     if len(alike) != residual.numel():

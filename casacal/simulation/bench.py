@@ -11,8 +11,8 @@ import numpy as np
 from casacal.array_types import Array, Index
 from casacal.instruments import Instrument
 from casacal.kernels.batch import Batch
-from casacal.problem.cell import Cell, Disturbances, Face
 from casacal.problem.problem import Problem
+from casacal.simulation.cell import Cell, Disturbances, Face
 from casacal.simulation.touches import random_tips, spot, stands
 from casacal.simulation.true_arm import Draw, label_names, plane_coordinates
 from casacal.tables.columns import Labels
@@ -78,7 +78,7 @@ def bench_of(
     model, instrument, robot, reached = problem.model, problem.instrument, problem.robot, random_tips(problem)
     local, nominals, frames = dict[str, Array](), dict[str, Array](), dict[str, Array]()
     z, c = [np.zeros((samples, 0))], [np.zeros((samples, 0))]
-    for key, unknown in model.unknowns.items():
+    for key, unknown in problem.symbols.unknowns.items():
         of_rows: Sequence[str | None] = [None] * samples if unknown.per is None else labels[unknown.per]
         seen: Sequence[str | None] = [None]
         if unknown.per is not None:  # a label stands for the same thing in whatever order rows name them

@@ -11,8 +11,8 @@ import numpy as np
 
 from casacal.array_types import Array, Index
 from casacal.errors import SimulationError
-from casacal.problem.cell import Cell
 from casacal.robots.robot import Robot
+from casacal.simulation.cell import Cell
 from casacal.simulation.reach import TouchingArm
 
 TURN = 1.0  # what one turn of the pointer shows, mm

@@ -8,11 +8,11 @@ import numpy as np
 
 from casacal.array_types import Array, Index, Rows
 from casacal.errors import SimulationError
-from casacal.problem.cell import Disturbances
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import inside_limits, random_joints
 from casacal.samples.samples import Samples
 from casacal.simulation.bench import Bench, bench_of
+from casacal.simulation.cell import Disturbances
 from casacal.simulation.faults import ArmErrors, drawn_waves, last_moves, rounded, unwaved, waved
 from casacal.simulation.true_arm import Draw, check_asked, own_noise, row_labels
 from casacal.tables.columns import Labels

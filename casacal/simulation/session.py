@@ -11,9 +11,9 @@ from casacal.array_types import Array, Index, Rows
 from casacal.errors import SimulationError
 from casacal.instruments.description import Probe, readings_within
 from casacal.instruments.instrument import Instrument
-from casacal.problem.cell import OF_DIALS, Cell, Face
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
+from casacal.simulation.cell import OF_DIALS, Cell, Face
 from casacal.simulation.faults import (
     ArmErrors,
     DialErrors,

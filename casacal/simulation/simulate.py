@@ -13,11 +13,11 @@ from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.errors import SamplesError, SimulationError, came
 from casacal.estimators import lm
 from casacal.least_squares.conditioned import Conditioned
-from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.layout import Layout
 from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
+from casacal.simulation.cell import Cell, Disturbances
 from casacal.simulation.faults import ArmErrors, DialErrors, waved
 from casacal.simulation.reach import TouchingArm
 from casacal.simulation.rows import fitting_rows
@@ -113,7 +113,7 @@ class Simulation(Value):
         if probe is None:
             if readings is not None:
                 raise SimulationError(f"{type(problem.instrument).__name__} has no plunger", "Leave the readings out")
-            bound = bind(problem.without_effects, self.measured)
+            bound = bind(problem.without_terms, self.measured)
             return bound.tips(self.truth(bound), waved(self.arm_errors.waves, q))
         touch = TouchingArm.of(problem.robot, problem.instrument, probe, self.local)
         ways, places = (

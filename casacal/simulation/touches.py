@@ -12,10 +12,10 @@ from casacal.array_types import Array, Index, Rows
 from casacal.errors import SimulationError
 from casacal.instruments.description import Probe, readings_within
 from casacal.kinematics import stacked_poses
-from casacal.problem.cell import Cell, Disturbances, Face, corner, triple
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import random_joints
 from casacal.robots.links import above_table
+from casacal.simulation.cell import Cell, Disturbances, Face, corner, triple
 from casacal.simulation.faults import levels
 from casacal.simulation.reach import TouchingArm
 from casacal.simulation.true_arm import true_unknowns

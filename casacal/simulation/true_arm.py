@@ -11,8 +11,8 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.errors import SimulationError
 from casacal.instruments.description import Probe
-from casacal.problem.cell import OF_TOUCHES, Cell, Disturbances
 from casacal.problem.problem import Problem
+from casacal.simulation.cell import OF_TOUCHES, Cell, Disturbances
 from casacal.tables.columns import Labels
 from casacal.unknowns import Unknown
 

@@ -2,6 +2,5 @@
 
 from casacal.study.description import Method, Run, Setting, Study, Trial
 from casacal.study.runs import merge, open_run, run
-from casacal.study.simulated import Simulated
 
-__all__ = ["Method", "Run", "Setting", "Simulated", "Study", "Trial", "merge", "open_run", "run"]
+__all__ = ["Method", "Run", "Setting", "Study", "Trial", "merge", "open_run", "run"]

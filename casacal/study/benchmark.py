@@ -220,7 +220,7 @@ class UnseenToo(BoundProblem):
     """The fitted rows under the geometry, as the harness sees them; methods take the whole arm and all rows."""
 
     def __init__(self, arm: Problem, fitted: Samples, unseen: Samples) -> None:
-        bound = bind(arm.without_effects, fitted)
+        bound = bind(arm.without_terms, fitted)
         super().__init__(bound.problem, bound.slots, bound.samples, surveys=bound.surveys)
         self.arm, self.fitted, self.unseen = arm, fitted, unseen
 

@@ -1,36 +1,51 @@
-"""What arm and cell do beside their geometry, brought into a fit: effects of expected sizes, and sizes as found."""
+"""What arm and cell do beside their geometry: effects brought into a fit, sizes as found, and errors of the dial."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import fdtrc
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import OTHERS, SHARED, by_face, of_repeats, times
 from casacal.discrepancy.compliance import LinkSag
-from casacal.discrepancy.effect import Effect, Site
+from casacal.discrepancy.effect import Effect, effects_of
+from casacal.discrepancy.kit import with_kit, with_link_kit, with_rich_kit
 from casacal.discrepancy.smooth import JointField
 from casacal.errors import ProblemError
 from casacal.estimators import lm
+from casacal.instruments.dial_parts import dial_cycle, dial_gain
+from casacal.least_squares.linalg import posterior_covariance
 from casacal.problem.problem import Problem
+from casacal.problem.term import Site
 from casacal.uncertainty.effect_sizes import NormalEquations, Sizes, effect_sizes, told
 from casacal.uncertainty.joint_repeatability import WORTH, beforehand, joints_err, with_joints
+from casacal.uncertainty.transfer import in_sample_gains
+from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.wording import sized
 
 ENOUGH = 300  # rows from which on a field of many unknowns can be told
-MANY, MANY_FACES = (
-    300,
-    150,
-)  # unknowns of the geometry, and faces, beyond which each has too few rows to tell of effects
+MANY = 300  # unknowns of the geometry beyond which each has too few rows to tell of effects
+MANY_FACES = 150  # and faces
 NEARLY = 0.98  # part of the most that an effect may be from which it is taken to stand there
 
 SAGS = 0.5  # times the usual sag from which on it is asked whose weight it is
 
 PART = 0.05
 """Least part of the stated noise that single rows may show where they err together: stated is what a row errs by."""
+
+VERY_STRONG = 5.0
+"""Logarithm of a ratio of densities from which evidence is called very strong (Kass and Raftery, Journal of the
+American Statistical Association 90, 1995, section 3.2: 2 ln B above 10)."""
+UNLIKELY = 0.01 / 2
+"""Chance below which an error of the dial is taken to be there: one in a hundred, for the two that are tested."""
+FLAT = 1e-3  # slope of a residual by its reading below which that reading tells nothing
+STEP = 0.5  # millimetres by which readings are shifted for their slope: a distance from a plane is linear in them
+UNSEEN = 1e-9  # part of the squared length of a column that a fit must leave of it for it to be seen at all
 
 
 def with_effects(bound: BoundProblem, problem: Problem, *, find_noise: bool = True) -> BoundProblem:
@@ -53,20 +68,20 @@ def with_effects(bound: BoundProblem, problem: Problem, *, find_noise: bool = Tr
     geometry = lm(bound)
     if not geometry.converged:
         return bound
-    standard, least = _Linear.of(bound, problem.with_kit, geometry.x), 1.0 if find_noise else None
-    if problem.effects:
+    standard, least = _Linear.of(bound, with_kit(problem), geometry.x), 1.0 if find_noise else None
+    if problem.terms:
         return standard.sized(least)
     if find_noise and bound.rows > ENOUGH:
         part = standard.sized(PART)
         field = [slot.unknown.prior_stds[0] for slot in part.slots if slot.beside == JointField.key]
         if field and float(field[0]) > float(np.median(part.noise)):  # rows err together by more than each does alone
-            found = _Linear.of(bound, problem.with_rich_kit, geometry.x).sized(PART)
+            found = _Linear.of(bound, with_rich_kit(problem), geometry.x).sized(PART)
             if err_as_stated(found):
                 return found
     found = standard.sized(least)
     if times_found(found).get(LinkSag.key, 0.0) > SAGS:
         try:
-            by_links = _Linear.of(bound, problem.with_link_kit, geometry.x)
+            by_links = _Linear.of(bound, with_link_kit(problem), geometry.x)
         except ProblemError:  # joints that do not carry one another in order have no links beyond them
             return found
         if by_links.best(least).evidence > standard.best(least).evidence:
@@ -151,7 +166,7 @@ class _Linear:
     ) -> Sizes:
         """The likeliest sizes and noise, and how likely the rows are, as densities of readings; see `effect_sizes`."""
         stated = 1 / min(by_face(whole.scale).values(), default=1.0)
-        known = {effect.key: (effect.doubt, effect.most) for effect in whole.problem.effects}
+        known = {effect.key: (effect.doubt, effect.most) for effect in effects_of(whole.problem)}
         sizes = effect_sizes(
             whole, self.x, whole.beside, known, stated=stated, least=least, seen=seen, start=start, search=search
         )
@@ -172,7 +187,7 @@ class _Found:
 def times_found(whole: BoundProblem) -> dict[str, float]:
     """Times by which each effect came out larger than it was expected to be, by key."""
     problem, found = whole.problem, {}
-    for effect in problem.effects:
+    for effect in effects_of(problem):
         slot = next((slot for slot in whole.slots if slot.beside == effect.key), None)
         for instrument in problem.instruments:
             expected = effect.unknowns(Site(problem.robot, instrument))
@@ -185,7 +200,7 @@ def times_found(whole: BoundProblem) -> dict[str, float]:
 def at_most(whole: BoundProblem) -> tuple[Effect, ...]:
     """Effects that are as large as they may be: no arm is so bad, and something else may stand behind them."""
     found = times_found(whole)
-    return tuple(each for each in whole.problem.effects if found.get(each.key, 0.0) > NEARLY * each.most)
+    return tuple(each for each in effects_of(whole.problem) if found.get(each.key, 0.0) > NEARLY * each.most)
 
 
 def errors_are_shared(whole: BoundProblem) -> bool:
@@ -201,3 +216,144 @@ def err_as_stated(whole: BoundProblem) -> bool:
     noise = float(np.median(whole.noise))
     together = noise * float(np.sqrt(1 + told[beside] @ whole.prior_std[beside] ** 2 / whole.rows))
     return together >= float(np.median(whole.with_noise().noise))
+
+
+@dataclass(frozen=True)
+class EffectSize:
+    """An effect beside the geometry as the rows show it.
+
+    gain: by how much the logarithm of the rows' likelihood is larger with it than without. size: at which the rows are
+    likeliest, all effects together, and expected_size: of any arm, both in `unit`.
+    """
+
+    key: str
+    words: str
+    gain: float
+    size: float
+    expected_size: float
+    unit: str
+
+    @property
+    def shown(self) -> bool:
+        """Whether the evidence is very strong."""
+        return self.gain > VERY_STRONG
+
+
+@dataclass(frozen=True)
+class DialError:
+    """An error of a dial that its problem does not declare, at its likeliest size.
+
+    chance: of rows like these without it. tip_mm: what it makes of the estimate, mm RMS at the tip over the workspace,
+    apart from the position of the base.
+    """
+
+    key: str
+    words: str
+    chance: float
+    size: float
+    unit: str
+    tip_mm: float
+
+    @property
+    def shown(self) -> bool:
+        """Whether the rows show it."""
+        return self.chance < UNLIKELY
+
+    @property
+    def shown_size(self) -> str:
+        """The size as people read it."""
+        return sized(self.size, self.unit)
+
+
+def effect_sizes_of(fit: BoundProblem, x: Array) -> tuple[EffectSize, ...]:
+    """Every effect of a fit, the likeliest first; x: where it stands (n,). Empty for the geometry alone."""
+    times = times_found(fit)
+    known = [effect for effect in effects_of(fit.problem) if effect.key in times and effect.key in fit.beside]
+    gains = in_sample_gains(fit, x, [effect.key for effect in known]) if known else {}
+    found = [
+        EffectSize(
+            effect.key,
+            effect.words,
+            gains[effect.key],
+            effect.size * times[effect.key],
+            effect.size,
+            effect.unit or fit.units[fit.beside.index(effect.key)],
+        )
+        for effect in known
+    ]
+    return tuple(sorted(found, key=lambda each: -each.gain))
+
+
+def dial_errors(fit: BoundProblem, x: Array) -> tuple[DialError, ...]:
+    """What undeclared errors of a dial would explain beside a fit: a gain, and an error by the pointer's angle.
+
+    Columns B (N, m) beside a minimum of residuals r, with C its covariance: what the fit leaves of them,
+    K = B'(I - J C J')B, lowers the sum of squares by B'r K^-1 B'r; that over the rest is F distributed.
+
+    Args:
+        fit: with noise and effects as they were found, so that none of these passes for the dial's error.
+        x: its minimum (n,).
+
+    """
+    if not fit.unknowns or not any(instrument.probe for instrument in fit.problem.instruments):
+        return ()
+    jacobian, residual, joints = fit.jacobian(x), fit.residual(x), workspace_joints(fit.problem.robot)
+    covariance = posterior_covariance(jacobian.T @ jacobian, fit.prior_information)
+    covariance = np.where(np.isfinite(covariance), covariance, 0.0)
+    square = float(residual @ residual) + 2 * fit.prior_cost(x)
+    free = len(residual) - int((~np.isfinite(fit.prior_std)).sum())
+    tips, found = fit.tips(x, joints), []
+    field = without_rigid(fit.tip_jacobian(x, joints), tips)
+    for key, words, unit, columns in _dial_columns(fit, x):
+        cross = jacobian.T @ columns
+        left, own = columns.T @ columns - cross.T @ covariance @ cross, columns.T @ columns
+        freedom = free - columns.shape[1]
+        if freedom < 1 or np.linalg.eigvalsh(left)[0] < UNSEEN * np.linalg.eigvalsh(own)[-1]:
+            continue
+        size = -np.linalg.solve(left, columns.T @ residual)
+        gained = float(-size @ (columns.T @ residual))
+        ratio = gained / len(size) / (max(square - gained, 0.0) / freedom + 1e-300)
+        moved = tip_rms(field @ (covariance @ (cross @ size)))
+        chance = float(fdtrc(len(size), freedom, ratio))
+        found.append(DialError(key, words, chance, float(np.linalg.norm(size)), unit, moved))
+    return tuple(found)
+
+
+def _dial_columns(fit: BoundProblem, x: Array) -> Iterator[tuple[str, str, str, Array]]:
+    """Key, words, unit, and whitened rows (N, m) by one percent of gain, by micrometres of cosine and sine.
+
+    What was read holds the arm's errors, too, and little else where all touches were programmed to one depth: there a
+    gain that makes readings vanish would seem to explain why the arm errs. So the gain is of what the drawn arm would
+    read, which depends on no error; the pointer's angle, of what the fitted one does.
+    """
+    for i, instrument in enumerate(fit.problem.instruments):
+        probe, declared = instrument.probe, instrument.unknowns
+        if probe is None or probe.column is None or not probe.turn:
+            continue
+        read = np.zeros(fit.rows)
+        read[fit.sample_rows(i)] = fit.samples[i].columns[probe.column]
+        steep = _steepness(fit, x, i, probe.column)
+        told = np.abs(steep) > FLAT
+        drawn, fitted = (
+            read - np.where(told, fit.plain_residual(at) / np.where(told, steep, 1.0), 0.0) for at in (fit.x0, x)
+        )
+        slope, before = steep / fit.noise, fit.problem.prefix(i)
+        if "gain" not in declared:
+            way = slope * drawn / 100
+            yield f"{before}gain", "gain of the dial", dial_gain().unit, way[:, None]
+        if "cycle" not in declared:
+            angle = 2 * math.pi * fitted / probe.turn
+            ways = slope[:, None] / 1000 * np.column_stack([np.cos(angle), np.sin(angle)])
+            words = "error of the dial that repeats with every turn of its pointer"
+            yield f"{before}cycle", words, dial_cycle().unit, ways
+
+
+def _steepness(fit: BoundProblem, x: Array, i: int, column: str) -> Array:
+    """Slope (rows,) of all residuals by what instrument `i` reads in a column."""
+    shifted = []
+    for step in (STEP, -STEP):
+        samples = list(fit.samples)
+        columns = samples[i].columns
+        samples[i] = replace(samples[i], columns={**columns, column: columns[column] + step})
+        shifted.append(fit.on(*samples).plain_residual(x))
+    return np.asarray((shifted[0] - shifted[1]) / (2 * STEP))

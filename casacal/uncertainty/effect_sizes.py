@@ -67,6 +67,7 @@ def evidence(rows: NormalEquations, prior: Array) -> float:
 
 MORE = 1.3  # noise as found over stated beyond which something errs that is larger than expected
 LARGE = 50.0  # times its size of an effect of no physical size, from which the search then starts once more
+HELD = (1.0, 1.0)  # of what has no size to be found, and stays as it was declared
 SMALLER = math.log(6.0)  # how much smaller than usual any effect may well be: some arms hardly have it
 NOISE_DOUBT = 3.0  # times by which noise may well exceed what was stated
 
@@ -115,8 +116,9 @@ def effect_sizes(
     """
     keys = [key for key in dict.fromkeys(beside) if key]
     groups = [np.flatnonzero(np.array(beside) == key) for key in keys]
-    spread = np.array([math.log(known[key][0]) for key in keys] + [math.log(NOISE_DOUBT)])
-    most = np.array([math.log(known[key][1]) for key in keys])
+    sizes = [known.get(key, HELD) for key in keys]
+    spread = np.array([math.log(doubt) for doubt, _ in sizes] + [math.log(NOISE_DOUBT)])
+    most = np.array([math.log(times) for _, times in sizes])
     bounds = [(-m, m) if s > 0 else (0.0, 0.0) for s, m in zip(spread[:-1], most, strict=True)]
     bounds.append((math.log(stated * least), 0.0) if least else (0.0, 0.0))
     expected = np.append(np.zeros(len(keys)), math.log(stated))

@@ -23,14 +23,14 @@ MOST_OF_A_PROCESS = 1500  # rows that a Gaussian process is made of; of more, so
 
 def drawn(problem: Problem, fitted: Samples, unseen: Samples) -> Array:
     """The arm as drawn; only what belongs to the instrument is fitted: tool, faces, stations."""
-    arm = problem.without_effects
+    arm = problem.without_terms
     bound = bind(arm.fix(*(key for key, unknown in arm.robot.parameters.items() if unknown.size)), fitted)
     return left(bound, lm(bound).x, unseen)
 
 
 def offsets(problem: Problem, fitted: Samples, unseen: Samples) -> Array:
     """Zero offsets of the joints alone, as makers' own masterings find them."""
-    arm = problem.without_effects
+    arm = problem.without_terms
     if "theta" not in arm.robot.parameters:
         raise CasacalError("This arm has no 'theta', the zero offsets of its joints", "Leave this method out")
     held = [key for key, unknown in arm.robot.parameters.items() if key != "theta" and unknown.size]
@@ -40,7 +40,7 @@ def offsets(problem: Problem, fitted: Samples, unseen: Samples) -> Array:
 
 def geometry(problem: Problem, fitted: Samples, unseen: Samples) -> Array:
     """Lengths, twists and offsets by SciPy's least squares, as most papers do; priors as the set declares them."""
-    bound = bind(problem.without_effects, fitted)
+    bound = bind(problem.without_terms, fitted)
     return left(bound, scipy_least_squares(bound).x, unseen)
 
 
@@ -62,14 +62,14 @@ def casacal_layers(problem: Problem, fitted: Samples, unseen: Samples) -> Told:
     And with the set's own effects, such as measured torque.
     """
     layers = (TransmissionError(order=1), TransmissionError(order=2), LinkSag())
-    own = tuple(effect for effect in problem.effects if effect.key not in {each.key for each in layers})
-    found = calibrate(problem.with_effects(*layers, *own), fitted, reference=False)
+    own = tuple(effect for effect in problem.terms if effect.key not in {each.key for each in layers})
+    found = calibrate(problem.with_terms(*layers, *own), fitted, reference=False)
     return Told(left(found.fit, found.result.x, unseen), verdict_of(found).level)
 
 
 def geometry_and_process(problem: Problem, fitted: Samples, unseen: Samples) -> Array:
     """Geometry, and a Gaussian process over the joint values on what it leaves: leaks where rows have neighbours."""
-    bound = bind(problem.without_effects, fitted)
+    bound = bind(problem.without_terms, fitted)
     x = lm(bound).x
     known, rest = bound.plain_residual(x).reshape(len(fitted), -1), left(bound, x, unseen)
     some = np.unique(np.linspace(0, len(fitted) - 1, min(len(fitted), MOST_OF_A_PROCESS)).astype(int))

@@ -89,7 +89,7 @@ def lines_of(problem: Problem, fitted: Samples, package: str) -> Lines:
         raise CasacalError(f"{package} fits points read in one frame, and this set is measured by {name}", fix)
     if not problem.robot.revolute.all():
         raise CasacalError(f"{package} is given arms of revolute joints, and this one has others", fix)
-    bound = bind(problem.without_effects, fitted)
+    bound = bind(problem.without_terms, fitted)
     n, tips = len(problem.robot.axes), bound.tips(bound.x0, fitted.joints)
     turned = bound.poses(bound.x0, np.vstack([np.zeros(n), np.pi / 2 * np.eye(n)]))
     moves = turned[1:] @ np.linalg.inv(turned[0])

@@ -21,7 +21,7 @@ from casacal.calibration.told import verdict_lines
 from casacal.calibration.verdict import verdict_of
 from casacal.compensation.result import Level
 from casacal.pages.render import count, fixed, mm, rendered
-from casacal.uncertainty.beside_geometry import VERY_STRONG
+from casacal.uncertainty.discrepancy import VERY_STRONG
 from casacal.uncertainty.expectation import Box
 from casacal.wording import capital, numbered_lines, sized
 

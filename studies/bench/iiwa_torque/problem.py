@@ -13,4 +13,4 @@ robot = Robot.from_dh(
     angle_std=1e-3,
 )
 give = TorqueCompliance(columns_of=tuple(f"torque{j}_Nm" for j in range(1, 8)), size=1e-4)
-problem = Problem(robot, TrackedPose(position_std=0.1, angle_std=2e-4), effects=(*kit(), give))
+problem = Problem(robot, TrackedPose(position_std=0.1, angle_std=2e-4), terms=(*kit(), give))

@@ -17,10 +17,9 @@ import casadi as ca
 import numpy as np
 
 from casacal import instruments
-from casacal.discrepancy.arm import GravitySag, ThermalGrowth
-from casacal.discrepancy.compliance import LinkSag, TorqueCompliance
+from casacal.discrepancy.compliance import GravitySag, LinkSag, TorqueCompliance
 from casacal.discrepancy.gears import Backlash, GearRipple, TransmissionError
-from casacal.discrepancy.smooth import Drift, FaceForm, JointField
+from casacal.discrepancy.smooth import Drift, FaceForm, JointField, ThermalGrowth
 from casacal.errors import CasacalError
 from casacal.graphs import graph_data, graph_from
 from casacal.instruments.description import Probe, ResidualBlock
@@ -69,8 +68,8 @@ def problem_data(problem: Problem) -> dict[str, Any]:
     }
     if len(problem.instruments) > 1:
         data |= {"names": list(problem.names), "shared": _encoded(problem.shared)}
-    if problem.effects and all(type(effect) in EFFECTS for effect in problem.effects):
-        data["effects"] = _encoded(problem.effects)
+    if problem.terms and all(type(term) in EFFECTS for term in problem.terms):
+        data["effects"] = _encoded(problem.terms)
     return {"sha256": _digest(data), **data}
 
 
@@ -89,7 +88,7 @@ def problem_from(data: Mapping[str, Any]) -> Problem:
         else:
             named = dict(zip(map(str, kept["names"]), measured, strict=True))
             problem = Problem(robot, named, shared=_decoded(kept["shared"]))
-        problem = problem.with_effects(*_decoded(kept.get("effects", [])))
+        problem = problem.with_terms(*_decoded(kept.get("effects", [])))
         _ = problem.models, problem.free_names(), robot.limits  # what is wrong inside shows here, not later
         return problem
     except CasacalError:

@@ -12,8 +12,8 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.errors import StudyError
 from casacal.least_squares.result import Result
-from casacal.problem.cell import Cell
 from casacal.problem.problem import Problem
+from casacal.simulation.cell import Cell
 from casacal.simulation.simulate import simulate
 from casacal.uncertainty.figures import nees, residual_figures
 from casacal.uncertainty.workspace import bayesian_bound, tip_rms, tip_stds, up_to_base, without_rigid, workspace_joints

@@ -12,6 +12,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.errors import SimulationError, came
 from casacal.instruments.description import Travel, readings_within
+from casacal.problem.problem_file import Surroundings
 from casacal.unknowns.unknown import tangent_basis, unit_vector
 from casacal.values import plain
 
@@ -124,7 +125,7 @@ class Face:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell(Disturbances):
+class Cell(Disturbances, Surroundings):
     """What surrounds and what disturbs a simulated arm that touches faces; lengths mm, angles rad.
 
     Args:
