@@ -96,8 +96,8 @@ class Fresh:
     def loosened(self, stds: Mapping[str, float | None]) -> Fresh:
         """The same with more doubt about what they are judged by: C' = C + E S^2 E'.
 
-        stds: standard deviations (mm, rad) by the name of an unknown ("theta4"), or the key of several ("theta"), or a
-        joint ("joint4"), whose zero may then be elsewhere; None for anywhere. Raises UnknownNameError for what these
+        stds: standard deviations (mm, rad) by the name of an unknown ("theta4"), the key of several ("theta"), a face
+        ("floor"), or a joint ("joint4"), whose zero may then be elsewhere; None for anywhere. Raises UnknownNameError for what these
         rows take from no calibration, CasacalError for what is no size, or a joint that no unknown of the arm follows.
         """
         bound, places = self.bound, dict[str, list[int]]()
@@ -105,7 +105,7 @@ class Fresh:
         for slot in bound.slots:
             for j, name in zip(slot.columns, slot.unknown.names(slot.name), strict=True):
                 if self.known[j] and not slot.beside:
-                    for word in dict.fromkeys((name, slot.name, slot.key)):
+                    for word in filter(None, dict.fromkeys((name, slot.name, slot.key, slot.label))):
                         places.setdefault(word, []).append(int(position[j]))
         joints = {f"joint{i}": axis for i, axis in enumerate(bound.problem.robot.axes, 1)}
         covariance, units = self.covariance.copy(), np.array(bound.units)[self.known]

@@ -108,31 +108,6 @@ class Change(Value):
     tells: float
 
     @property
-    def rows(self) -> int:
-        """How many fresh rows counted."""
-        return self.judged.rows
-
-    @property
-    def own(self) -> tuple[str, ...]:
-        """Unknowns that were fitted to the fresh rows."""
-        return self.judged.own
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Sentences on the fresh rows."""
-        return self.judged.remarks
-
-    @property
-    def copied_lines(self) -> tuple[int, ...]:
-        """Lines of the rows that are copies of others."""
-        return self.judged.copied_lines
-
-    @property
-    def fitted_lines(self) -> tuple[int, ...]:
-        """Lines of the rows that the calibration has seen."""
-        return self.judged.fitted_lines
-
-    @property
     def changed(self) -> bool | None:
         """Whether the arm changed; None where these rows cannot say."""
         return {NOTHING: False, CHANGED: True}.get(self.ended)

@@ -99,31 +99,6 @@ class Verification(Value):
     unit: str
 
     @property
-    def rows(self) -> int:
-        """How many fresh rows counted."""
-        return self.judged.rows
-
-    @property
-    def own(self) -> tuple[str, ...]:
-        """Unknowns that were fitted to the fresh rows."""
-        return self.judged.own
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Sentences on the fresh rows."""
-        return self.judged.remarks
-
-    @property
-    def copied_lines(self) -> tuple[int, ...]:
-        """Lines of the rows that are copies of others."""
-        return self.judged.copied_lines
-
-    @property
-    def fitted_lines(self) -> tuple[int, ...]:
-        """Lines of the rows that the calibration has seen."""
-        return self.judged.fitted_lines
-
-    @property
     def kept(self) -> bool:
         """Whether the promise was kept: the residuals are no larger than chance explains, at a level of 5 %."""
         return min(self.p, self.arm_p) >= LEVEL / 2
