@@ -97,8 +97,9 @@ class Fresh:
         """The same with more doubt about what they are judged by: C' = C + E S^2 E'.
 
         stds: standard deviations (mm, rad) by the name of an unknown ("theta4"), the key of several ("theta"), a face
-        ("floor"), or a joint ("joint4"), whose zero may then be elsewhere; None for anywhere. Raises UnknownNameError for what these
-        rows take from no calibration, CasacalError for what is no size, or a joint that no unknown of the arm follows.
+        ("floor"), or a joint ("joint4"), whose zero may then be elsewhere; None for anywhere. Raises UnknownNameError
+        for what these rows take from no calibration, CasacalError for what is no size, or a joint that no unknown of
+        the arm follows.
         """
         bound, places = self.bound, dict[str, list[int]]()
         position = np.cumsum(self.known) - 1
