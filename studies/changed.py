@@ -18,7 +18,7 @@ from casacal.changes.look import Look
 from casacal.changes.posterior import with_memory
 from casacal.compensation.arm import CalibratedArm
 from casacal.simulation.simulate import simulate_one
-from casacal.simulation.true_arm import Draw
+from casacal.simulation.touches import Draw
 from casacal.study.statistics import success_rate
 from casacal.verification.opened import opened
 from studies import reporting

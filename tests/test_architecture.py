@@ -51,7 +51,7 @@ ORDER = [
 """The packages and modules of casacal/, from the ground up: each imports only what stands before it, or itself."""
 PLACE = {name: place for place, name in enumerate(ORDER)}
 EXTRAS = {
-    "study.executors": {"dask", "distributed"},
+    "study.runs": {"dask", "distributed"},
     "tables.workbooks": {"openpyxl"},
     "measuring.gauges": {"serial"},
     "cli.completion": {"shtab"},

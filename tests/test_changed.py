@@ -31,8 +31,7 @@ from casacal.changes.posterior import with_drift, with_memory
 from casacal.errors import SamplesError, UnknownNameError
 from casacal.samples.samples import joined
 from casacal.simulation.simulate import simulate_one
-from casacal.simulation.touches import default_cell
-from casacal.simulation.true_arm import Draw
+from casacal.simulation.touches import Draw, default_cell
 from casacal.uncertainty.fresh_rows import FreshRows, chances, likelihood, occam, seen_basis
 from casacal.verification.opened import opened
 

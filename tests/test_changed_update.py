@@ -30,9 +30,9 @@ from casacal import (
 from casacal.changes.causes import JOINTS, joint_direction, shift_columns, with_shifts
 from casacal.cli.main import main
 from casacal.files import write_json
-from casacal.samples.write import write_samples
+from casacal.samples.samples import write_samples
 from casacal.simulation.simulate import simulate_one
-from casacal.simulation.true_arm import Draw
+from casacal.simulation.touches import Draw
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
 HSR = ROOT / "problems" / "hsr_jr680"

@@ -10,8 +10,7 @@ from openpyxl import Workbook
 
 from casacal.cli.main import main
 from casacal.errors import SamplesError
-from casacal.samples.layout import Layout
-from casacal.samples.samples import Samples
+from casacal.samples.samples import Layout, Samples
 from casacal.tables.text import joined_tables, read_table
 from casacal.tables.workbooks import read_workbook
 

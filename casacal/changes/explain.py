@@ -30,8 +30,7 @@ from casacal.planning.choice import drawn_touch, pool_of
 from casacal.planning.route import FIT, postures_text, shortest_way
 from casacal.problem.cell import Cell, Face
 from casacal.problem.problem import Problem
-from casacal.samples.layout import Layout
-from casacal.samples.samples import Samples
+from casacal.samples.samples import Layout, Samples
 from casacal.uncertainty.fresh_rows import chance, likelihood, occam
 from casacal.verification.fresh import Fresh
 

@@ -12,14 +12,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.adjust import add_adjustments, adjusted, adjustments
 from casacal.cli.common import (
     DONE,
     FAILED,
     JSON,
     PROBLEM,
     add,
+    add_adjustments,
     add_samples,
+    adjusted,
+    adjustments,
     box_of,
     check_folder,
     read_samples,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from casacal.cli.adjust import names_of, numbers_of
 from casacal.cli.common import (
     DONE,
     FAILED,
@@ -15,6 +14,8 @@ from casacal.cli.common import (
     check_folder,
     fresh_rows,
     made_from,
+    names_of,
+    numbers_of,
     spare,
     whole_number,
 )

@@ -8,8 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.adjust import TABLE, number_or_range, on_table, table_of
-from casacal.cli.common import DONE, JSON, PROBLEM, add, spare, whole_number
+from casacal.cli.common import DONE, JSON, PROBLEM, TABLE, add, number_or_range, on_table, spare, table_of, whole_number
 from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
 
@@ -178,7 +177,7 @@ def _compared(route: Route | None, simulation: Simulation, robot: Robot) -> tupl
 def _parted(simulation: Simulation, route: Route | None) -> tuple[Simulation, Samples | None]:
     """What is to be fitted, and the rows that the plan keeps to verify, if any."""
     from casacal.planning.route import CHECK
-    from casacal.samples.measurements import Measurements
+    from casacal.samples.samples import Measurements
 
     if route is None:
         return simulation, None

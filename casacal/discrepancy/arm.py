@@ -13,7 +13,7 @@ from casacal.discrepancy.effect import Here, Site, weighted
 from casacal.discrepancy.further import LOAD, MASS, Loaded
 from casacal.discrepancy.smooth import OverTime
 from casacal.kinematics import Expression, Product, position
-from casacal.robots.joint_space import random_joints
+from casacal.robots.robot import random_joints
 from casacal.unknowns import Parameter
 
 

@@ -22,8 +22,7 @@ from casacal.robots.links import STILL, above_table
 from casacal.samples.samples import Samples, joined
 from casacal.simulation.reach import TouchingArm
 from casacal.simulation.simulate import simulate
-from casacal.simulation.touches import default_cell
-from casacal.simulation.true_arm import true_unknowns
+from casacal.simulation.touches import default_cell, true_unknowns
 from casacal.uncertainty.expectation import Box, joints_in_box
 from casacal.uncertainty.workspace import up_to_base, workspace_joints
 

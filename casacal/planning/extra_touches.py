@@ -18,7 +18,7 @@ from casacal.samples.samples import Samples
 from casacal.simulation.reach import TouchingArm
 from casacal.simulation.touches import ROUNDS, try_touches
 from casacal.tables.columns import Labels
-from casacal.unknowns.fits import fitted_plane
+from casacal.unknowns.geometry import fitted_plane
 
 POOL = 240  # touches that are drawn on the faces of a cell, to choose among
 ENOUGH_OF_THEM = 0.8  # part of these that has to be found, where it can be: the last ones are the hardest to reach

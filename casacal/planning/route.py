@@ -14,11 +14,8 @@ from casacal.array_types import Array
 from casacal.binding.slots import instances
 from casacal.errors import CasacalError, SamplesError
 from casacal.problem.problem import Problem
-from casacal.robots.joint_space import joint_units
-from casacal.robots.robot import Robot
-from casacal.samples.layout import Layout
-from casacal.samples.samples import Samples
-from casacal.samples.write import WRITTEN, samples_text
+from casacal.robots.robot import Robot, joint_units
+from casacal.samples.samples import WRITTEN, Layout, Samples, samples_text
 from casacal.tables.read import read_columns
 from casacal.values import Value
 

@@ -18,8 +18,7 @@ from casacal.instruments.instrument import check_declaration, with_setting, with
 from casacal.problem.compile import RowModel, models_like
 from casacal.problem.symbols import Symbols
 from casacal.robots.robot import Robot
-from casacal.samples.layout import Layout
-from casacal.samples.samples import Samples
+from casacal.samples.samples import Layout, Samples
 from casacal.tables.read import read_any_table
 from casacal.tables.text import KEY, joined_tables
 from casacal.unknowns import Unknown

@@ -12,9 +12,8 @@ import numpy as np
 from casacal.array_types import Array, Rows
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression, chain, screw, slide, transform_point
-from casacal.robots.joint_space import random_joints
 from casacal.robots.joints import Conventions
-from casacal.robots.robot import Robot
+from casacal.robots.robot import Robot, random_joints
 from casacal.robots.traced_pose import TracedPose
 
 PROOFS = 4  # postures at which the screws must give the pose

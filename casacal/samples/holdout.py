@@ -8,8 +8,7 @@ import numpy as np
 
 from casacal.array_types import Index, Rows
 from casacal.errors import CasacalError, UnknownNameError, came
-from casacal.samples.measurements import Measurements
-from casacal.samples.samples import Samples
+from casacal.samples.samples import Measurements, Samples
 from casacal.tables.columns import Labels, combinations
 
 WAYS = ("rows", "region", "face")  # what is held out together, beside the values of a column

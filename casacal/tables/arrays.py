@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.errors import CasacalError, SamplesError
 from casacal.tables.columns import Columns, Labels
-from casacal.tables.grammar import check_names
+from casacal.tables.text import check_names
 
 ARRAYS = (".npy", ".npz")
 MOST_MEMBERS = 10_000

@@ -13,8 +13,7 @@ from xml.etree import ElementTree
 
 from casacal.errors import CasacalError, SamplesError
 from casacal.tables.arrays import check_unpacked, pieces, readable
-from casacal.tables.grammar import UNSHOWN, Comments
-from casacal.tables.text import Table, make_table
+from casacal.tables.text import UNSHOWN, Comments, Table, make_table
 
 WORKBOOKS = (".xlsx", ".xlsm")
 MOST_ROWS = 1 << 20  # of a sheet, whatever its file says

@@ -11,7 +11,7 @@ from scipy.special import fdtrc
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.instruments.dial_parts import dial_cycle, dial_gain
+from casacal.instruments.dial import dial_cycle, dial_gain
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.uncertainty.discrepancy import times_found
 from casacal.uncertainty.transfer import in_sample_gains
