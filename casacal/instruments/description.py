@@ -173,6 +173,13 @@ def units_mistaken(columns: Mapping[str, Dimension]) -> tuple[Suspect, ...]:
 def mistakes_in(columns: Mapping[str, Dimension]) -> tuple[Suspect, ...]:
     """Signs of lengths and angles, one by one, their units, and any two of one kind swapped."""
     kinds = {kind: [name for name, each in columns.items() if each == kind] for kind in ("length", "angle")}
+    signs = []
+    if len(kinds["length"]) == 1:
+        cause, fix = "a longer way seems to be read as a shorter one", "Reverse the sign of the readings"
+        signs.append(Suspect("sign of the lengths", cause, fix, tuple(kinds["length"]), -1.0))
+    for name in (*(kinds["length"] if len(kinds["length"]) > 1 else ()), *kinds["angle"]):
+        cause = f"column '{name}' seems to have the wrong sign"
+        signs.append(Suspect(f"sign of '{name}'", cause, f"Reverse the sign of column '{name}'", (name,), -1.0))
     units = list(units_mistaken(columns))
     for factor, words in ANGLE_UNITS.items() if kinds["angle"] else ():
         cause = f"the angles that are read seem to be {words}"
@@ -183,15 +190,4 @@ def mistakes_in(columns: Mapping[str, Dimension]) -> tuple[Suspect, ...]:
         for same in kinds.values()
         for one, two in combinations(same, 2)
     )  # fmt: skip
-    return (*_signs(kinds["length"], kinds["angle"]), *units, *swapped)
-
-
-def _signs(lengths: list[str], angles: list[str]) -> list[Suspect]:
-    found = []
-    if len(lengths) == 1:
-        cause, fix = "a longer way seems to be read as a shorter one", "Reverse the sign of the readings"
-        found = [Suspect("sign of the lengths", cause, fix, tuple(lengths), -1.0)]
-    for name in (*(lengths if len(lengths) > 1 else ()), *angles):
-        cause = f"column '{name}' seems to have the wrong sign"
-        found.append(Suspect(f"sign of '{name}'", cause, f"Reverse the sign of column '{name}'", (name,), -1.0))
-    return found
+    return (*signs, *units, *swapped)

@@ -64,12 +64,8 @@ class DHTable:
             raise ProblemError(f"The DH convention is '{self.convention}'", "Use 'standard' or 'modified'")
         if not self.beta:
             object.__setattr__(self, "beta", (0.0,) * len(self.parallel))
-        self._check_parallel()
         if self.conventions is not None:
             self.conventions.check_joints(count, self.name)
-
-    def _check_parallel(self) -> None:
-        count = len(self.alpha)
         rows = self.parallel
         if len(set(rows)) < len(rows) or any(row not in range(1, count) for row in rows) or sorted(rows) != list(rows):
             fix = f"Name rows of 1 to {count - 1} in order, each whose axis is parallel to the next one"
@@ -364,8 +360,29 @@ def unread_keys(path: str | Path) -> tuple[str, ...]:
 
 
 def dh_file_text(table: DHTable, path: str | Path) -> str:
-    """A DH table as the text of a file of that name: TOML when it ends in .toml, else CSV."""
-    return toml_text(table) if is_toml(path) else csv_text(table)
+    """A DH table as the text of a file of that name, degrees and millimetres: TOML when it ends in .toml, else CSV."""
+    rows = _rows(table)
+    if is_toml(path):
+        lines = [f"name = {json.dumps(table.name, ensure_ascii=False)}", f'convention = "{table.convention}"']
+        if table.parallel:
+            lines.append(f"parallel = {list(table.parallel)}")
+        text = "\n".join(lines) + "\n"
+        if table.conventions is not None:
+            text += "\n" + conventions_toml(table.conventions, table.joints)
+        for row in rows:
+            kind = f'kind = "{row["kind"]}"'
+            numbers = [f"{key} = {value}" for key, value in row.items() if key not in ("joint", "kind")]
+            text += "\n".join(["", "[[joint]]", kind, *numbers, ""])
+        return text
+    lines = [f"# name: {table.name}", f"# convention: {table.convention}"]
+    if table.parallel:
+        lines.append(f"# parallel: {', '.join(map(str, table.parallel))}")
+    if table.conventions is not None:
+        meant = _meant(table.conventions, [joint.turns for joint in table.joints])
+        lines += [f"# {key}: {('; ' if key == 'coupling' else ', ').join(each)}" for key, each in meant.items()]
+    columns = [name for name in COLUMNS if any(name in row for row in rows)]
+    lines += [",".join(columns), *(",".join(row.get(name, "") for name in columns) for row in rows)]
+    return "\n".join(lines) + "\n"
 
 
 def is_toml(path: str | Path) -> bool:
@@ -493,35 +510,6 @@ def _check_list(key: str, value: Any, file: str) -> None:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
-
-
-def csv_text(table: DHTable) -> str:
-    """A DH table as CSV, degrees and millimetres."""
-    lines = [f"# name: {table.name}", f"# convention: {table.convention}"]
-    if table.parallel:
-        lines.append(f"# parallel: {', '.join(map(str, table.parallel))}")
-    if table.conventions is not None:
-        meant = _meant(table.conventions, [joint.turns for joint in table.joints])
-        lines += [f"# {key}: {('; ' if key == 'coupling' else ', ').join(each)}" for key, each in meant.items()]
-    rows = _rows(table)
-    columns = [name for name in COLUMNS if any(name in row for row in rows)]
-    lines += [",".join(columns), *(",".join(row.get(name, "") for name in columns) for row in rows)]
-    return "\n".join(lines) + "\n"
-
-
-def toml_text(table: DHTable) -> str:
-    """A DH table as TOML, degrees and millimetres."""
-    lines = [f"name = {json.dumps(table.name, ensure_ascii=False)}", f'convention = "{table.convention}"']
-    if table.parallel:
-        lines.append(f"parallel = {list(table.parallel)}")
-    text = "\n".join(lines) + "\n"
-    if table.conventions is not None:
-        text += "\n" + conventions_toml(table.conventions, table.joints)
-    for row in _rows(table):
-        kind = f'kind = "{row["kind"]}"'
-        numbers = [f"{key} = {value}" for key, value in row.items() if key not in ("joint", "kind")]
-        text += "\n".join(["", "[[joint]]", kind, *numbers, ""])
-    return text
 
 
 def conventions_toml(conventions: Conventions, joints: Sequence[Joint] | None = None) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NoReturn
@@ -70,18 +69,12 @@ class UrdfFile:
             raise ProblemError(f"{self.file}: link '{tip}' does not hang on link '{base}'", "Name a base above the tip")
         return found
 
-    def above(self, link: str) -> list[UrdfJoint]:
-        """The joints above a link, the nearest first; where they form a loop, no more than there are and one."""
-        parents, found = {joint.child: joint for joint in self.joints}, list[UrdfJoint]()
-        while link in parents and len(found) <= len(self.joints):
-            found.append(parents[link])
-            link = parents[link].parent
-        return found
-
     def between(self, base: str, link: str) -> tuple[UrdfJoint, ...] | None:
         """Joints from a base link to one that hangs on it; None for one that does not."""
-        way = self.above(link)
-        links = [link, *(joint.parent for joint in way)]
+        parents, way, links = {joint.child: joint for joint in self.joints}, list[UrdfJoint](), [link]
+        while links[-1] in parents and len(way) <= len(self.joints):  # where joints form a loop, once round and one
+            way.append(parents[links[-1]])
+            links.append(way[-1].parent)
         return tuple(reversed(way[: links.index(base)])) if base in links else None
 
     def _only(self, links: list[str], what: str) -> str:
@@ -394,26 +387,10 @@ class UrdfChain:
 
 def origin_matrix(joint: UrdfJoint) -> Array:
     """Nominal <origin> (4x4, mm): RotZ(yaw) RotY(pitch) RotX(roll), as the URDF's fixed-axis roll, pitch, yaw mean."""
-    return placed(joint.xyz, joint.rpy)
-
-
-def placed(xyz: Sequence[float], rpy: Sequence[float]) -> Array:
-    """Pose (4x4, mm) of what a URDF places at xyz (m), turned by roll, pitch and yaw (rad) about fixed axes."""
-    roll, pitch, yaw = rpy
+    roll, pitch, yaw = joint.rpy
     matrix = np.array(chain(rotate_z(yaw), rotate_y(pitch), rotate_x(roll)), dtype=np.float64)
-    matrix[:3, 3] = np.array(xyz) * MM
+    matrix[:3, 3] = np.array(joint.xyz) * MM
     return matrix
-
-
-def hangs(found: UrdfFile, link: str, root: str, moving: list[str]) -> tuple[int, Array] | None:
-    """The last moving joint of the chain above a link (-1 for none), and the link's pose at zero; None elsewhere."""
-    way = found.between(root, link)
-    if way is None:
-        return None
-    pose = np.eye(4)
-    for joint in reversed(way):
-        pose = origin_matrix(joint) @ pose
-    return max((moving.index(joint.name) for joint in way if joint.name in moving), default=-1), pose
 
 
 def _limits(joint: UrdfJoint) -> tuple[float, float]:
@@ -456,9 +433,13 @@ def weights_of(
     if payload:
         weighs.append((chain[-1].child, payload, np.zeros(3)))
     for link, mass, centre in weighs:
-        hung = hangs(found, link, root, moving)
-        if hung is not None and hung[0] >= 0:
-            k, pose = hung
+        way = found.between(root, link) or ()
+        pose = np.eye(4)
+        for joint in reversed(way):
+            pose = origin_matrix(joint) @ pose
+        # the last moving joint of the chain above the link carries it; nothing does where it does not hang on the arm
+        k = max((moving.index(joint.name) for joint in way if joint.name in moving), default=-1)
+        if k >= 0:
             masses[k] += mass
             moments[k] += mass * (pose @ [*centre, 1.0])[:3]
     if not masses.sum() > 0:

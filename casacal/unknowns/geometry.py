@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, is_dataclass, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import casadi as ca
 import numpy as np
@@ -21,8 +21,12 @@ class Whole(Unknown):
     """An unknown that is free or held as a whole; raw, it has one number more and one constraint of unit length."""
 
     free: bool
+    prior_std: float | tuple[float, float]
+    start_std: float | tuple[float, float] | None
     parts: ClassVar[tuple[tuple[str, str], ...]]
     """What the name of each local coordinate ends in, and its unit."""
+    unit_length: ClassVar[int] = 3
+    """How many raw coordinates, the first ones, are a vector or quaternion of length one."""
 
     @property
     def size(self) -> int:
@@ -35,15 +39,35 @@ class Whole(Unknown):
         return tuple(unit for _, unit in self.parts)[: self.size]
 
     @property
+    def prior_stds(self) -> Array:
+        """Prior standard deviations: those in rad share one, and those in mm another."""
+        return self._each(self.prior_std)
+
+    @property
+    def start_stds(self) -> Array:
+        """Prior or start standard deviations."""
+        start = None if self.start_std is None else self._each(self.start_std)
+        return start_stds(self.prior_stds, start, self.units, f"a {type(self).__name__.lower()}")
+
+    def _each(self, pair: float | tuple[float, float]) -> Array:
+        """For each local coordinate (size,) one of two numbers: in rad, in mm."""
+        turn, shift = spread(pair, 2, f"prior_std of a {type(self).__name__.lower()}")
+        return np.array([turn if unit == "rad" else shift for unit in self.units])
+
+    @property
     def raw_size(self) -> int:
         """One more than there are tilts or turns and shifts, or none when held."""
         return self.size + 1 if self.free else 0
+
+    def raw_constraints(self, raw: Expression) -> list[Expression]:
+        """n'n - 1 of a normal or a direction, q'q - 1 of a quaternion."""
+        return [ca.dot(raw[: self.unit_length], raw[: self.unit_length]) - 1] if self.free else []
 
     def names(self, key: str) -> tuple[str, ...]:
         """Such as key.tilt1, key.tilt2."""
         return tuple(f"{key}.{part}" for part, _ in self.parts)[: self.size]
 
-    def with_free(self, free: Sequence[bool]) -> Any:
+    def with_free(self, free: Sequence[bool]) -> Self:
         """Copy, free or held as a whole; raises ProblemError for a part of it."""
         if len(set(free)) > 1:
             what = f"a {type(self).__name__.lower()}"
@@ -51,11 +75,14 @@ class Whole(Unknown):
         assert is_dataclass(self)
         return replace(self, free=any(free), held_as_proposed=True)
 
-
-def shared_std(stds: Sequence[float], present: Array) -> float:
-    """One standard deviation for coordinates that share it: that of a changed one, so that naming any sets them all."""
-    changed = [float(new) for new, old in zip(stds, present, strict=True) if new != old]
-    return max(changed) if changed else float(present[0])
+    def with_prior(self, stds: Sequence[float]) -> Self:
+        """Copy with another prior; coordinates of one unit share a standard deviation, so naming any sets them all."""
+        found = [float(std) for std in spread(self.prior_std, 2, "prior_std")]
+        for k, unit in enumerate(("rad", "mm")):
+            rows = zip(stds, self.prior_stds, self.units, strict=True)
+            found[k] = max((float(new) for new, old, each in rows if each == unit and new != old), default=found[k])
+        assert is_dataclass(self)
+        return replace(self, prior_std=tuple(found) if any(unit == "mm" for _, unit in self.parts) else found[0])
 
 
 def stereographic(local: Expression) -> tuple[Expression, Expression]:
@@ -121,17 +148,6 @@ class Direction(Whole):
         check_stds(np.array([self.prior_std]), "prior_std of a direction")
 
     @property
-    def prior_stds(self) -> Array:
-        """Prior standard deviations of the two tilts, rad."""
-        return np.full(self.size, self.prior_std)
-
-    @property
-    def start_stds(self) -> Array:
-        """Prior or start standard deviations, rad."""
-        start = None if self.start_std is None else np.full(self.size, self.start_std)
-        return start_stds(self.prior_stds, start, self.units, "a direction")
-
-    @property
     def nominal(self) -> Array | None:
         """Unit vector (3) and two vectors across it (6); None when the data must propose it."""
         return None if self.vector is None else self.encode(self.vector)
@@ -170,14 +186,6 @@ class Direction(Whole):
     def raw_local(self, nominal: Expression, raw: Expression) -> Expression:
         """Two tilts of a raw unit vector."""
         return tilts_of(nominal, raw) if self.free else ca.DM.zeros(0, 1)
-
-    def raw_constraints(self, raw: Expression) -> list[Expression]:
-        """n'n - 1."""
-        return [ca.dot(raw, raw) - 1] if self.free else []
-
-    def with_prior(self, stds: Sequence[float]) -> Direction:
-        """Copy with another prior; both tilts share one standard deviation, so changing either changes both."""
-        return replace(self, prior_std=shared_std(stds, self.prior_stds))
 
 
 @dataclass(frozen=True)
@@ -234,18 +242,6 @@ class Plane(Whole):
             raise ProblemError("A plane is held but has no normal and no point", "Say where it is, or leave it free")
         check_stds(spread(self.prior_std, 2, "prior_std of a plane"), "prior_std of a plane")
         _ = self.nominal  # or a sentence
-
-    @property
-    def prior_stds(self) -> Array:
-        """Prior standard deviations: tilt, tilt, offset."""
-        tilt, offset = spread(self.prior_std, 2, "prior_std of a plane")
-        return np.array([tilt, tilt, offset][: self.size])
-
-    @property
-    def start_stds(self) -> Array:
-        """Prior or start standard deviations: tilt, tilt, offset."""
-        tilt, offset = self.start_std
-        return start_stds(self.prior_stds, np.array([tilt, tilt, offset][: self.size]), self.units, "a plane")
 
     @property
     def nominal(self) -> Array | None:
@@ -310,14 +306,6 @@ class Plane(Whole):
         """Tilts and offset of a raw plane with unit normal."""
         return ca.vertcat(tilts_of(nominal, raw[:3]), raw[3]) if self.free else ca.DM.zeros(0, 1)
 
-    def raw_constraints(self, raw: Expression) -> list[Expression]:
-        """n'n - 1."""
-        return [ca.dot(raw[:3], raw[:3]) - 1] if self.free else []
-
-    def with_prior(self, stds: Sequence[float]) -> Plane:
-        """Copy with another prior; both tilts share one standard deviation, so changing either changes both."""
-        return replace(self, prior_std=(shared_std(stds[:2], self.prior_stds[:2]), float(stds[2])))
-
 
 @dataclass(frozen=True)
 class Frame(Whole):
@@ -345,6 +333,7 @@ class Frame(Whole):
     held_as_proposed: bool = False
 
     nominal_size = 12
+    unit_length = 4
     parts = (("rx", "rad"), ("ry", "rad"), ("rz", "rad"), ("x", "mm"), ("y", "mm"), ("z", "mm"))
 
     def __post_init__(self) -> None:
@@ -359,17 +348,6 @@ class Frame(Whole):
     def size(self) -> int:
         """Six, three when only it turns, or none when held."""
         return (3 if self.turns_only else 6) if self.free else 0
-
-    @property
-    def prior_stds(self) -> Array:
-        """Prior standard deviations: three rotations, three translations."""
-        return np.repeat(spread(self.prior_std, 2, "prior_std of a frame"), 3)[: self.size]
-
-    @property
-    def start_stds(self) -> Array:
-        """Prior or start standard deviations."""
-        start = np.repeat(np.array(self.start_std), 3)[: self.size]
-        return start_stds(self.prior_stds, start, self.units, "a frame")
 
     @property
     def nominal(self) -> Array | None:
@@ -429,17 +407,6 @@ class Frame(Whole):
         if not self.free:
             return ca.DM.zeros(0, 1)
         return ca.vertcat(2 * stereographic_local(raw[0], raw[1:4]), raw[4:])
-
-    def raw_constraints(self, raw: Expression) -> list[Expression]:
-        """q'q - 1."""
-        return [ca.dot(raw[:4], raw[:4]) - 1] if self.free else []
-
-    def with_prior(self, stds: Sequence[float]) -> Frame:
-        """Copy with another prior; rotations share one standard deviation, translations another."""
-        present, shift = self.prior_stds, float(spread(self.prior_std, 2, "prior_std of a frame")[1])
-        turn = shared_std(stds[:3], present[:3])
-        shift = shift if self.turns_only else shared_std(stds[3:], present[3:])
-        return replace(self, prior_std=(turn, shift))
 
     def _shift(self, local: Expression) -> Expression:
         return ca.DM.zeros(3, 1) if self.turns_only else local
