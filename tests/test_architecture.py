@@ -52,7 +52,7 @@ ORDER = [
 PLACE = {name: place for place, name in enumerate(ORDER)}
 EXTRAS = {
     "study.runs": {"dask", "distributed"},
-    "tables.workbooks": {"openpyxl"},
+    "tables.read": {"openpyxl"},
     "measuring.gauges": {"serial"},
     "cli.completion": {"shtab"},
 }

@@ -380,7 +380,7 @@ def test_without_flock_a_lock_of_windows_is_taken(tmp_path, monkeypatch):
     """On Windows: the file is opened without translation of line ends, and a byte far beyond its end is locked."""
     from types import SimpleNamespace
 
-    from casacal.study import records
+    from casacal.study import description as records
 
     locked = []
     fake = SimpleNamespace(LK_NBLCK=2, locking=lambda handle, mode, size: locked.append((mode, size)))

@@ -9,9 +9,8 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Rows
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.nominal import nominal_sight
 from casacal.checks.finding import Finding, Severity
@@ -147,7 +146,7 @@ def _grid(values: Array, grids: Array) -> float:
     return 0.0
 
 
-def _lines(samples: Samples, bad: NDArray[np.bool_]) -> tuple[int, ...]:
+def _lines(samples: Samples, bad: Rows) -> tuple[int, ...]:
     return tuple(samples.lines[i] for i in np.flatnonzero(bad).tolist())
 
 

@@ -7,9 +7,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.binding.bound_problem import BoundProblem, bind, each_alone
 from casacal.checks.before_fit import (
     LABELS_ALIKE,
@@ -258,7 +257,7 @@ def _few_of_each_face(problem: Problem, samples: Samples) -> Samples:
     return samples.take(np.sort(np.concatenate(kept)))
 
 
-def _evenly(count: int, most: int) -> NDArray[np.intp]:
+def _evenly(count: int, most: int) -> Index:
     """Places of so many of `count` things, evenly over all; all where there are fewer."""
     return np.unique(np.linspace(0, count - 1, most).astype(np.intp))
 

@@ -439,13 +439,11 @@ def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = 
         both = _simplest(pairs)
         if both is not None and both.size < min(BETTER * min(best.size, base), EXPLAINED):
             return _told(both, base, pairs, [])
+    if best.size > max(min(BETTER * base, EXPLAINED), CHANCE):
+        return None
     tool = [fault.about for fault in best.faults] == [TOOL]
     alike = alike_numbers(bind(problem, samples), tool_keys(problem)) if tool else ()
-    return (
-        _told(best, base, tried, [f"{name} elsewhere" for name in alike])
-        if best.size <= max(min(BETTER * base, EXPLAINED), CHANCE)
-        else None
-    )
+    return _told(best, base, tried, [f"{name} elsewhere" for name in alike])
 
 
 def _one(fault: Fault, before: _Attempt) -> Iterator[_Attempt]:

@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index, Rows
 from casacal.binding.bound_problem import BoundProblem, bind, each_alone
 from casacal.binding.noise_scale import times
 from casacal.binding.nominal import nominal_sight, nominal_tips
@@ -86,7 +85,7 @@ def studentised_outliers(bound: BoundProblem, result: Result) -> Outliers:
     return Outliers(rows, float(size.max()), limit, scale)
 
 
-def _of_a_region(bound: BoundProblem, sizes: Array, bad: NDArray[np.intp]) -> NDArray[np.bool_]:
+def _of_a_region(bound: BoundProblem, sizes: Array, bad: Index) -> Rows:
     """Which of some residuals (m,) are off as most touches of their region are: to the same side, by a third or more.
 
     sizes: of all residuals (rows,), signed, in standard deviations. A region is a part of one face that was touched
@@ -197,7 +196,7 @@ ONES_OWN = 2  # rows whose joints may be another row's, pasted or shifted by one
 MOST_STRAYS = 0.3  # beyond this fraction of the rows, it is not single rows that are wrong
 
 
-def gross(bound: BoundProblem, *, drawn: BoundProblem | None = None) -> tuple[NDArray[np.bool_], tuple[Finding, ...]]:
+def gross(bound: BoundProblem, *, drawn: BoundProblem | None = None) -> tuple[Rows, tuple[Finding, ...]]:
     """Rows (N,) of samples that chance does not explain, and what is wrong with them; none where they are many.
 
     First those far off their face with the arm as drawn, then those that a robust fit cannot explain. A plain fit says
@@ -238,7 +237,7 @@ def gross(bound: BoundProblem, *, drawn: BoundProblem | None = None) -> tuple[ND
     return bad, tuple(findings)
 
 
-def _refuse_contradiction(bound: BoundProblem, bad: NDArray[np.bool_]) -> None:
+def _refuse_contradiction(bound: BoundProblem, bad: Rows) -> None:
     """Raise SamplesError where half the rows of one of several instruments do not belong: these are not single rows."""
     if bad.sum() > MOST * len(bad):  # too many for single rows anyway: none is set aside, and the check finds the cause
         return
@@ -251,7 +250,7 @@ def _refuse_contradiction(bound: BoundProblem, bad: NDArray[np.bool_]) -> None:
             raise SamplesError(some.file, f"{what} where the others put the arm", fix)
 
 
-def _without(bound: BoundProblem, bad: NDArray[np.bool_]) -> BoundProblem | None:
+def _without(bound: BoundProblem, bad: Rows) -> BoundProblem | None:
     """The other rows; None where these are too few in all, or on a face for unknowns of its own."""
     if not bad.any():
         return bound
@@ -264,7 +263,7 @@ def _without(bound: BoundProblem, bad: NDArray[np.bool_]) -> BoundProblem | None
         return None
 
 
-def _outliers(bound: BoundProblem) -> NDArray[np.bool_]:
+def _outliers(bound: BoundProblem) -> Rows:
     """Rows (N,) that a robust fit of them all cannot explain."""
     found = np.zeros(len(bound.measured), dtype=bool)
     # what the rows must hold is the geometry: unknowns of effects stand at zero unless rows say more
@@ -273,7 +272,7 @@ def _outliers(bound: BoundProblem) -> NDArray[np.bool_]:
     return found
 
 
-def _taken_back(bound: BoundProblem, bad: NDArray[np.bool_], stray: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _taken_back(bound: BoundProblem, bad: Rows, stray: Rows) -> Rows:
     """Rows (N,) that stay aside; what only looked odd beside a gross row comes back."""
     rest = _without(bound, bad)
     if rest is None:
@@ -283,7 +282,7 @@ def _taken_back(bound: BoundProblem, bad: NDArray[np.bool_], stray: NDArray[np.b
     more = _without(bound, bad & ~again)
     if not again.any() or more is None:
         return bad
-    held: NDArray[np.bool_] = bad & ~again
+    held: Rows = bad & ~again
     held[np.flatnonzero(~held)[_outliers(more)]] = True
     held &= bad
     return held
@@ -306,7 +305,7 @@ def _judged(rest: BoundProblem, whole: BoundProblem) -> tuple[BoundProblem, Resu
     return rest.on(*whole.samples).with_noise(times(rest.scale, max(noise, 1.0))), result
 
 
-def off_their_face(bound: BoundProblem, scatter: float) -> tuple[NDArray[np.bool_], list[Finding]]:
+def off_their_face(bound: BoundProblem, scatter: float) -> tuple[Rows, list[Finding]]:
     """Rows that lie nowhere near their face, and why; a quick look decides whether faces are fitted robustly.
 
     scatter: distance (mm) that prior errors of the arm explain.
@@ -322,7 +321,7 @@ def off_their_face(bound: BoundProblem, scatter: float) -> tuple[NDArray[np.bool
     return np.concatenate(bad), findings
 
 
-def strays(problem: Problem, samples: Samples, scatter: float) -> tuple[NDArray[np.bool_], list[Finding]]:
+def strays(problem: Problem, samples: Samples, scatter: float) -> tuple[Rows, list[Finding]]:
     """Rows (N,) far off their plane before any fit, with what that means; none where most rows are off.
 
     Least median of squares per label (Rousseeuw 1984), which survives almost half of the rows being wrong.

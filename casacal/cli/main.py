@@ -159,7 +159,11 @@ def _caught(typed: list[str]) -> int:
         if getattr(options, "out", None) == "-":
             raise CasacalError("--out - names no file", "Standard output is /dev/stdout, a file of that name ./-")
         options.typed, options.parser = shlex.join(["casacal", *typed]), parser
-        return _answer(options)
+        try:
+            with words_beside(getattr(options, "out", None)):
+                return heard(lambda: int(options.run(options)))
+        except SystemExit as end:
+            raise CasacalError("Code of the problem's own ends the program (sys.exit)", "Take that out of it") from end
     except CasacalError as error:
         complain(" ".join(str(error).split()))
         return BAD_INPUT
@@ -182,11 +186,3 @@ def _ranges_joined(typed: list[str]) -> list[str]:
         else:
             found.append(each)
     return found
-
-
-def _answer(options: argparse.Namespace) -> int:
-    try:
-        with words_beside(getattr(options, "out", None)):
-            return heard(lambda: int(options.run(options)))
-    except SystemExit as end:
-        raise CasacalError("Code of the problem's own ends the program (sys.exit)", "Take that out of it") from end

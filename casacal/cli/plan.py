@@ -28,7 +28,7 @@ from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
-    from casacal.planning.clearance import Clearance
+    from casacal.planning.choice import Clearance
     from casacal.planning.plan import Plan
     from casacal.planning.set_ups import SetUp
     from casacal.problem.problem_file import ProblemFile

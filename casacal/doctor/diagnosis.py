@@ -6,9 +6,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.doctor.pendant_rows import ANGLES, LENGTHS, PendantRows, angle_between, rotations_as, rotations_of
 from casacal.doctor.search import Axes, Family, Halves, Integers, axes_of, one_change_away, poses_of
 from casacal.errors import CasacalError
@@ -48,7 +47,7 @@ class Meaning:
         return Family(self.reading[None], np.zeros(1, dtype=bool))
 
 
-def distinct(axes: Axes, family: Family) -> list[NDArray[np.intp]]:
+def distinct(axes: Axes, family: Family) -> list[Index]:
     """Indices of the readings of each meaning, at most `MOST_MEANINGS` of them; decided at random joint values."""
     if not len(family):
         return []
@@ -57,7 +56,7 @@ def distinct(axes: Axes, family: Family) -> list[NDArray[np.intp]]:
     q = np.random.default_rng(0).uniform(-spread, spread, (COMPARED, n))
     turn, place = poses_of(axes, family, q)
     told = np.concatenate([turn.reshape(len(family), -1), place.reshape(len(family), -1)], axis=1)
-    groups: list[NDArray[np.intp]] = []
+    groups: list[Index] = []
     left = np.arange(len(family))
     while left.size and len(groups) < MOST_MEANINGS:
         same = np.abs(told[left] - told[left[0]]).max(axis=1) < SAME
@@ -219,8 +218,7 @@ def _misses(
     axes: Axes, base: Array, rows: PendantRows, meaning: Meaning, name: tuple[str, str]
 ) -> Callable[[Array], Array]:
     """What rows of numbers (N, columns) miss by under one meaning: (N, 12), 3 in mm and 9 whose norm is mrad."""
-    n, length = rows.joints.shape[1], LENGTHS[meaning.length_unit]
-    scale = np.where(axes.turns, ANGLES[meaning.joint_unit], length)
+    n, length, scale = rows.joints.shape[1], LENGTHS[meaning.length_unit], _scale(axes, meaning)
 
     def miss(numbers: Array) -> Array:
         turn, place = poses_of(axes, meaning.family, numbers[:, :n] * scale)

@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.array_types import Array, Index
+from casacal.array_types import Array, Index, Rows
 from casacal.errors import ProblemError
 from casacal.kernels.block_rows import Batch
 from casacal.kinematics import stacked_poses
@@ -153,7 +153,7 @@ class Family:
     """
 
     options: Integers
-    distant: NDArray[np.bool_]
+    distant: Rows
 
     def __len__(self) -> int:
         return len(self.options)
@@ -163,12 +163,12 @@ class Family:
         return Family(self.options[rows], self.distant[rows])
 
     @property
-    def coupled(self) -> NDArray[np.bool_]:
+    def coupled(self) -> Rows:
         """Readings (H,) that couple joints."""
         return np.asarray((self.options[..., 2] >= 0).any(axis=1))
 
     @property
-    def changes(self) -> NDArray[np.intp]:
+    def changes(self) -> Index:
         """In how many settings a reading differs from plain (H,)."""
         sign, quarter, partner, _ = np.moveaxis(self.options, -1, 0)
         return np.asarray(((sign < 0).astype(int) + (quarter != 0) + (partner >= 0)).sum(axis=1))

@@ -257,17 +257,6 @@ def _source_text(result: CalibratedArm, arm: UrdfChain, source: str | Path | Non
     if source is None and kept and "\ufffd" not in kept[0]:
         return kept[0].encode("utf-8")
     path = Path(result.source.path).parent / arm.file if source is None else Path(source)
-    _check_source(path, arm)
-    data = path.read_bytes()
-    try:
-        data.decode("utf-8")
-    except UnicodeDecodeError:
-        raise CasacalError(f"{path}: this is not UTF-8", "Save it as UTF-8; then only origins are edited") from None
-    return data
-
-
-def _check_source(path: Path, arm: UrdfChain) -> None:
-    """Refuse a URDF in which the joints of the arm are not those the calibration began with."""
     there = UrdfChain.read(path, arm.chain[0].parent, arm.chain[-1].child, arm.conventions)
     fix = "Give the URDF that the problem was made from"
     if [joint.name for joint in there.chain] != [joint.name for joint in arm.chain]:
@@ -276,6 +265,12 @@ def _check_source(path: Path, arm: UrdfChain) -> None:
         same = (one.kind, one.axis) == (two.kind, two.axis)
         if not same or not np.allclose((one.xyz, one.rpy), (two.xyz, two.rpy), rtol=0, atol=1e-9):
             raise CasacalError(f"{path}: joint '{one.name}' is not as it was when the calibration began", fix)
+    data = path.read_bytes()
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError:
+        raise CasacalError(f"{path}: this is not UTF-8", "Save it as UTF-8; then only origins are edited") from None
+    return data
 
 
 def _edits(

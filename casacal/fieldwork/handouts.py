@@ -13,15 +13,13 @@ from functools import partial
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
-from casacal.array_types import Array, Rows
+from casacal.array_types import Array, Index, Rows
 from casacal.binding.nominal import nominal_tips
 from casacal.compensation.programs import KRL, RAPID, URSCRIPT, Language, in_comments, printable
 from casacal.errors import CasacalError, ProblemError, refuse_unknown
 from casacal.pages.drawing import rendered, tag, together
-from casacal.planning.choice import cell_of, drawn_touch
-from casacal.planning.clearance import Clearance
+from casacal.planning.choice import Clearance, cell_of, drawn_touch
 from casacal.planning.route import Route, joints_shown
 from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
@@ -55,7 +53,7 @@ class Approaches(Value):
     above: Array
     retreat: Array
     via: Array
-    clear: NDArray[np.bool_]
+    clear: Rows
 
 
 def approaches(
@@ -118,7 +116,7 @@ def _through(clear: Clear, places: Array, start: Array, end: Array) -> Array | N
     return None
 
 
-def _raised(clear: Clear, levels: list[Array], chosen: NDArray[np.intp], k: int) -> bool:
+def _raised(clear: Clear, levels: list[Array], chosen: Index, k: int) -> bool:
     """Raise both ends of the way to touch k until it is clear; whether it is."""
     for level in range(len(levels)):
         ends = [max(int(chosen[k - 1]), level), max(int(chosen[k]), level)]

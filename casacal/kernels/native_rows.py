@@ -115,7 +115,10 @@ class _Printer:
     def name(self, value: int) -> str:
         operation = self.program.operations[value]
         if operation.op == ca.OP_CONST:
-            return _constant(operation.constant)
+            number = operation.constant
+            if math.isfinite(number):
+                return f"({number!r})"
+            return "NAN" if math.isnan(number) else "(INFINITY)" if number > 0 else "(-INFINITY)"
         return f"{'d' if self.program.kinds[value] == 'lane' else 'v'}{value}"
 
     def definitions(self, what: str, out: Sequence[str]) -> Definitions:
@@ -143,13 +146,6 @@ class _Printer:
             raise CompilerError(f"the operation '{name_of(operation.op)}' has no form in C")
         called = "lane_" if operation.op in TRIGONOMETRIC else ""
         return called + C[operation.op].format(*(self.name(arg) for arg in operation.args))
-
-
-def _constant(value: float) -> str:
-    """A number as C writes it, exactly."""
-    if math.isfinite(value):
-        return f"({value!r})"
-    return "NAN" if math.isnan(value) else "(INFINITY)" if value > 0 else "(-INFINITY)"
 
 
 PAD = 8  # lanes are padded to a multiple of this, so that loops over them need no tail

@@ -13,9 +13,8 @@ from typing import TypeAlias
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.wording import capital, sized
 
 UNSHOWABLE = re.compile(
@@ -248,7 +247,7 @@ class Scale:
         step = nice_ceiling(_top(np.abs(values)) / (middle + 0.5))
         return Scale(tuple(step * k for k in range(-middle, middle + 1) if k), SIGNS)
 
-    def parts(self, values: Array) -> Iterator[tuple[str, NDArray[np.intp]]]:
+    def parts(self, values: Array) -> Iterator[tuple[str, Index]]:
         """Each colour with the positions of the values (N,) that take it; unbounded ones come last."""
         finite = np.isfinite(values)
         step = np.searchsorted(np.array(self.edges), np.where(finite, values, 0.0), side="right")

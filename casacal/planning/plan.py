@@ -11,18 +11,25 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index, Rows
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.nominal import nominal_tips
 from casacal.binding.slots import instances, make_slots
 from casacal.errors import CasacalError, came, refuse_unknown
 from casacal.files import write_text
 from casacal.instruments.description import readings_within
-from casacal.planning.choice import Choice, cell_of, drawn_touch, pool_of, refuse_several, seldom, wanted_joints
-from casacal.planning.clearance import Clearance
-from casacal.planning.exchange import Chosen, Criterion
+from casacal.planning.choice import (
+    Choice,
+    Clearance,
+    Criterion,
+    cell_of,
+    drawn_touch,
+    pool_of,
+    refuse_several,
+    seldom,
+    wanted_joints,
+)
 from casacal.planning.route import AGAIN, CHECK, FIT, Route, postures_text, shortest_way, touches_needed
 from casacal.planning.set_ups import POOL, SetUp, worth_most
 from casacal.problem.cell import Cell, Disturbances
@@ -177,7 +184,7 @@ def _enough_of_each(
     starts: int,
     rng: np.random.Generator,
     criterion: Criterion,
-) -> tuple[Chosen, NDArray[np.bool_]]:
+) -> tuple[Index, Rows]:
     """The best plan that touches each of its faces often enough to say where it is, and what it leaves out (N,).
 
     Fewer touches of a face tell nothing of the arm, so that an exchange leaves them where they were at random.
@@ -194,7 +201,7 @@ def _enough_of_each(
 TRIES = 20  # draws of what is kept to verify, until one places all that it touches
 
 
-def kept_to_verify(problem: Problem, pool: Samples, left: Chosen, count: int, rng: np.random.Generator) -> Chosen:
+def kept_to_verify(problem: Problem, pool: Samples, left: Index, count: int, rng: np.random.Generator) -> Index:
     """So many of the measurements that are left, drawn at random, of as many faces, points or anchors as they place.
 
     `verify` finds each of these anew from its own rows, and takes none with fewer than that needs. Where no draw

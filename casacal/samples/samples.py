@@ -23,9 +23,8 @@ from casacal.array_types import Array, Index
 from casacal.errors import SamplesError
 from casacal.files import write_text
 from casacal.instruments.description import Dimension
-from casacal.tables.arrays import columns_of_arrays, digest_of
 from casacal.tables.columns import MANY_ROWS, Columns, Labels
-from casacal.tables.read import columns_of_frame, read_columns
+from casacal.tables.read import columns_of_arrays, columns_of_frame, digest_of, read_columns
 from casacal.tables.text import UNSHOWN, Table
 from casacal.values import EMPTY, FrozenMapping, Value, read_only, short
 from casacal.wording import html_table
@@ -143,43 +142,6 @@ def read_further(table: Columns, layout: Layout) -> dict[str, Array]:
             fix = f"Call it {name}, or something else if it is another thing"
             raise SamplesError(table.file, what, fix, line=table.header_line or None, column=alike)
     return {name: read_only(table.number(name)) for name in layout.further if name in table.header}
-
-
-def read_quantities(
-    table: Columns, layout: Layout, *, absurd: bool
-) -> tuple[Array, dict[str, Array], dict[str, Labels], dict[str, Array | tuple[str, ...]]]:
-    """What a layout asks of columns, read-only, in mm and rad: joint values (N, n), the instrument's columns, labels.
-
-    There is one label for all rows, called as its column, where they have none. Last come the layout's further
-    columns and, as text where rows were read as text, those that were not asked for. absurd: whether values pass that
-    no robot has, for those who look for their cause. Raises SamplesError where a column is missing, without unit,
-    given twice or refused, or holds what it may not.
-    """
-    found = match_columns(table, layout)
-
-    def fill(name: str, place: Array) -> Array:
-        column, factor = found[name]
-        np.multiply(table.number(column), factor, out=place)
-        largest = math.inf if absurd else LARGEST[layout.quantities[name]]
-        if not math.isinf(largest) and len(place) and max(place.max(), -place.min()) > largest:
-            row = int(np.flatnonzero(np.abs(place) > largest)[0])
-            limit = "100 m" if largest == LARGEST["length"] else "10 turns"
-            what = f"{table.cell(column, row)} is absurd (beyond {limit})"
-            fix = "Check the value and the unit in the column's name"
-            raise SamplesError(table.file, what, fix, line=table.lines[row], column=column)
-        place.setflags(write=False)
-        return place
-
-    count = len(table.lines)
-    joints = np.empty((len(layout.joints), count)).T  # column by column in memory, as they come and as they go
-    for i in range(len(layout.joints)):
-        fill(f"q{i + 1}", joints[:, i])
-    joints.setflags(write=False)
-    columns = {name: fill(name, np.empty(count)) for name in layout.columns}
-    labels = {name: _labels(table, name) for name in layout.labels}
-    used = {column for column, _ in found.values()} | set(layout.labels)
-    texts = {name: text for name, text in table.texts().items() if name not in used}
-    return joints, columns, labels, {**texts, **read_further(table, layout)}
 
 
 def _labels(table: Columns, name: str) -> Labels:
@@ -329,10 +291,40 @@ class Samples(Value):
 
     @staticmethod
     def from_columns(columns: Columns, layout: Layout, *, absurd: bool = False) -> Samples:
-        """Samples from columns, which is what all of the above become; raises SamplesError."""
-        if not len(columns.lines):
+        """Samples from columns, which is what all of the above become: what a layout asks, read-only, in mm and rad.
+
+        There is one label for all rows, called as its column, where they have none. Beside the layout's further columns
+        those that were not asked for are kept, where rows were read as text. absurd: whether values pass that no robot
+        has, for those who look for their cause. Raises SamplesError where a column is missing, without unit, given
+        twice or refused, or holds what it may not.
+        """
+        count = len(columns.lines)
+        if not count:
             raise SamplesError(columns.file, "there is no row", "Give one row per sample")
-        joints, own, labels, further = read_quantities(columns, layout, absurd=absurd)
+        found = match_columns(columns, layout)
+
+        def fill(name: str, place: Array) -> Array:
+            column, factor = found[name]
+            np.multiply(columns.number(column), factor, out=place)
+            largest = math.inf if absurd else LARGEST[layout.quantities[name]]
+            if not math.isinf(largest) and max(place.max(), -place.min()) > largest:
+                row = int(np.flatnonzero(np.abs(place) > largest)[0])
+                limit = "100 m" if largest == LARGEST["length"] else "10 turns"
+                what = f"{columns.cell(column, row)} is absurd (beyond {limit})"
+                fix = "Check the value and the unit in the column's name"
+                raise SamplesError(columns.file, what, fix, line=columns.lines[row], column=column)
+            place.setflags(write=False)
+            return place
+
+        joints = np.empty((len(layout.joints), count)).T  # column by column in memory, as they come and as they go
+        for i in range(len(layout.joints)):
+            fill(f"q{i + 1}", joints[:, i])
+        joints.setflags(write=False)
+        own = {name: fill(name, np.empty(count)) for name in layout.columns}
+        labels = {name: _labels(columns, name) for name in layout.labels}
+        used = {column for column, _ in found.values()} | set(layout.labels)
+        texts = {name: text for name, text in columns.texts().items() if name not in used}
+        further: dict[str, Array | tuple[str, ...]] = {**texts, **read_further(columns, layout)}
         return Samples(joints, own, labels, columns.lines, further, columns.file, columns.sha256)
 
 

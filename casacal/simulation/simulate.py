@@ -24,7 +24,6 @@ from casacal.simulation.faults import (
     ArmErrors,
     DialErrors,
     drawn_waves,
-    form_seeds,
     last_moves,
     levels,
     rounded,
@@ -188,7 +187,8 @@ def touched_rows(
     if probe.column is None:
         lift = lift + outlier
     arm = ArmErrors(thermal=cell.thermal, waves=drawn_waves(problem.robot, cell.waves, gear_rng))
-    contact = _Contact(touch, probe, cell, plan, lift, form_seeds(cell, form_rng), arm.growth(plan.when))
+    forms = [int(form_rng.integers(2**32)) if cell.flatness > 0 else None for _ in cell.faces]
+    contact = _Contact(touch, probe, cell, plan, lift, forms, arm.growth(plan.when))
     if given is None:
         joints, readings = contact.found(pose_rng)
     else:
@@ -582,7 +582,15 @@ def simulate(
                 "Plan them for this problem and cell",
             )
         return found
-    asked = _counts_of(problem, samples)
+    if isinstance(samples, Mapping):
+        for name in samples:
+            problem.number(name)
+        if missing := [name for name in problem.names if name not in samples]:
+            raise SimulationError(f"How many samples of the {missing[0]} was not said", f"Say it: {missing[0]}=120")
+    counts = {name: samples[name] if isinstance(samples, Mapping) else samples for name in problem.names}
+    for count in counts.values():
+        _check_count(count)
+    asked = {name: int(count) for name, count in counts.items()}
     if len(problem.instruments) > 1:
         return simulate_several(problem, cell, asked, int(seed), int(session))
     return simulate_one(problem, cell, asked[problem.names[0]], Draw(int(seed), int(session)))
@@ -610,19 +618,6 @@ def _postures_of(problem: Problem, samples: Samples) -> Samples:
             line=int(samples.lines[k]),
         )
     return samples
-
-
-def _counts_of(problem: Problem, samples: int | Mapping[str, int]) -> dict[str, int]:
-    """How many rows each instrument takes."""
-    if isinstance(samples, Mapping):
-        for name in samples:
-            problem.number(name)
-        if missing := [name for name in problem.names if name not in samples]:
-            raise SimulationError(f"How many samples of the {missing[0]} was not said", f"Say it: {missing[0]}=120")
-    counts = {name: samples[name] if isinstance(samples, Mapping) else samples for name in problem.names}
-    for count in counts.values():
-        _check_count(count)
-    return {name: int(count) for name, count in counts.items()}
 
 
 def _check_count(count: object) -> None:

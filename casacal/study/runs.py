@@ -311,8 +311,6 @@ def _at_most(seconds: float) -> None:
         signal.setitimer(signal.ITIMER_REAL, seconds + LEEWAY)
 
 
-Progress = Callable[[int, int], None]
-
 RECORDS = "records.jsonl"
 
 
@@ -327,7 +325,7 @@ def run(
     shard: tuple[int, int] = (1, 1),
     resume: bool = False,
     timeout: float | None = None,
-    progress: Progress | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Run:
     """Run what is not yet recorded in `out`.
 

@@ -26,8 +26,8 @@ MOST_COLUMNS = 16_384  # what a sheet of a spreadsheet holds
 LONGEST_NAME = 200  # of a column, in characters
 SEPARATOR = "sep=,", "sep=;", "sep="  # a first line that tells Excel what stands between the cells; a tab is stripped
 NAMES = {",": "commas", ";": "semicolons", "\t": "tabs"}  # of delimiters
-Comments = list[tuple[int, list[str]]]
-"""Cells of lines that begin with #, each with its number."""
+NumberedRows = list[tuple[int, list[str]]]
+"""Cells of lines, each with its number."""
 
 LINE_END = re.compile(r"\r\n|\n|\r")
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
@@ -53,23 +53,7 @@ def decode(data: bytes, file: str) -> str:
     return text
 
 
-def lines_and_comments(text: str, first: int = 1) -> tuple[list[tuple[int, str]], list[tuple[int, str]]]:
-    """Lines neither blank nor comments, and the comments; each with its number, `first` being that of the first."""
-    lines: list[tuple[int, str]] = []
-    comments: list[tuple[int, str]] = []
-    for number, line in enumerate(LINE_END.split(text), first):
-        if begun := line.lstrip():
-            spreadsheet = number == 1 and begun.strip().casefold() in SEPARATOR  # how Excel is told what stands between
-            (comments if begun.startswith("#") or spreadsheet else lines).append((number, line))
-    return lines, comments
-
-
-def delimiter_of(header: str) -> str:
-    """What stands between the cells of a header line."""
-    return max(",;\t", key=header.count)
-
-
-def numbered_rows(lines: list[tuple[int, str]], delimiter: str, file: str) -> list[tuple[int, list[str]]]:
+def numbered_rows(lines: list[tuple[int, str]], delimiter: str, file: str) -> NumberedRows:
     """Cells of each logical line, without surrounding blanks; raises SamplesError unless quotes end on their line."""
     reader = csv.reader((text for _, text in lines), delimiter=delimiter, strict=True)
     rows = []
@@ -92,17 +76,6 @@ def is_number(cell: str) -> bool:
     return NUMBER.fullmatch(cell.replace(",", ".")) is not None
 
 
-def check_header(header: tuple[str, ...], file: str, line: int) -> None:
-    """Raise SamplesError unless the header is one of names, each column having its own."""
-    if len(header) > MOST_COLUMNS:
-        what = f"the header has {len(header)} columns; at most {MOST_COLUMNS} are read"
-        raise SamplesError(file, what, "Leave out what is not a sample", line=line)
-    if any(map(is_number, header)):
-        what = "the first line holds numbers, not column names"
-        raise SamplesError(file, what, "Put a header such as q1_deg,q2_deg,... above it", line=line)
-    check_names(header, file, line)
-
-
 def check_names(names: Iterable[str], file: str, line: int | None = None) -> None:
     """Raise SamplesError unless each column has a name of its own that can be shown in a sentence."""
     known: set[str] = set()
@@ -118,7 +91,7 @@ def check_names(names: Iterable[str], file: str, line: int | None = None) -> Non
 
 
 def body(
-    rows: list[tuple[int, list[str]]], header: tuple[str, ...], delimiter: str, file: str
+    rows: NumberedRows, header: tuple[str, ...], delimiter: str, file: str
 ) -> tuple[tuple[tuple[str, ...], ...], tuple[int, ...]]:
     """Cells of rows and their lines; raises SamplesError unless each has as many as the header."""
     for number, row in rows:
@@ -130,20 +103,6 @@ def body(
     return tuple(tuple(row) for _, row in rows), tuple(number for number, _ in rows)
 
 
-def not_a_number(cell: str) -> tuple[str, str]:
-    """What is wrong with a cell that should be a finite number, and what to do."""
-    if not cell:
-        return "the cell is empty", "Give a number, or remove the line"
-    shown = UNSHOWN.sub(lambda found: ascii(found[0])[1:-1], cell[:40])
-    return f"'{shown}' is not a finite number", "Give a plain decimal number such as 12.5"
-
-
-def rows_set_aside(lines: Iterable[tuple[int, str]], delimiter: str, width: int) -> Comments:
-    """Of lines that begin with #, those with a cell for each column: prose and empty comments are soon left out."""
-    return [(number, cells) for number, text in lines if text.count(delimiter) >= width - 1
-            and len(cells := _cells(text, delimiter)) >= width]  # fmt: skip
-
-
 def _cells(text: str, delimiter: str) -> list[str]:
     try:
         return [cell.strip() for cell in next(csv.reader([text], delimiter=delimiter), [])]
@@ -152,7 +111,7 @@ def _cells(text: str, delimiter: str) -> list[str]:
 
 
 def refuse_rows_set_aside(
-    rows: Sequence[Sequence[str]], comments: Comments, file: str, header: Sequence[str], header_line: int
+    rows: Sequence[Sequence[str]], comments: NumberedRows, file: str, header: Sequence[str], header_line: int
 ) -> None:
     """Raise SamplesError for a comment below the header that has a number wherever all rows have one.
 
@@ -230,7 +189,10 @@ def finite_numbers(
         text = cell.replace(",", ".") if decimal_comma else cell
         value = float(text) if NUMBER.fullmatch(text) else math.nan
         if not math.isfinite(value):
-            raise SamplesError(file, *not_a_number(cell), line=int(line), column=name)
+            shown = UNSHOWN.sub(lambda found: ascii(found[0])[1:-1], cell[:40])
+            what = f"'{shown}' is not a finite number" if cell else "the cell is empty"
+            fix = "Give a plain decimal number such as 12.5" if cell else "Give a number, or remove the line"
+            raise SamplesError(file, what, fix, line=int(line), column=name)
         result.append(value)
     return result
 
@@ -254,14 +216,23 @@ def read_table(path: str | Path) -> Table:
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
         raise SamplesError(file, f"cannot be read ({why})", "Give a readable text file") from None
-    lines, comments = lines_and_comments(decode(data, file))
-    delimiter = delimiter_of(lines[0][1]) if lines else ","
+    lines, comments = list[tuple[int, str]](), list[tuple[int, str]]()
+    for number, line in enumerate(LINE_END.split(decode(data, file)), 1):
+        if begun := line.lstrip():
+            spreadsheet = number == 1 and begun.strip().casefold() in SEPARATOR
+            (comments if begun.startswith("#") or spreadsheet else lines).append((number, line))
+    delimiter = max(",;\t", key=lines[0][1].count) if lines else ","
     rows = numbered_rows(lines, delimiter, file)
-    aside = rows_set_aside(comments, delimiter, len(rows[0][1]) if rows else 1)
+    width = len(rows[0][1]) if rows else 1
+    aside = [
+        (number, cells)
+        for number, text in comments
+        if text.count(delimiter) >= width - 1 and len(cells := _cells(text, delimiter)) >= width
+    ]
     return make_table(file, hashlib.sha256(data).hexdigest(), rows, delimiter, aside)
 
 
-def make_table(file: str, sha256: str, rows: list[tuple[int, list[str]]], delimiter: str, comments: Comments) -> Table:
+def make_table(file: str, sha256: str, rows: NumberedRows, delimiter: str, comments: NumberedRows) -> Table:
     """Table of numbered rows of cells, the header first, which were apart by a delimiter, and rows that are comments.
 
     Raises SamplesError, also where such a comment may be a row that is meant.
@@ -269,18 +240,24 @@ def make_table(file: str, sha256: str, rows: list[tuple[int, list[str]]], delimi
     if not rows:
         raise SamplesError(file, "the file is empty", "Give a header line and one line per sample")
     header_line, header = rows[0][0], tuple(rows[0][1])
-    check_header(header, file, header_line)
+    if len(header) > MOST_COLUMNS:
+        what = f"the header has {len(header)} columns; at most {MOST_COLUMNS} are read"
+        raise SamplesError(file, what, "Leave out what is not a sample", line=header_line)
+    if any(map(is_number, header)):
+        what = "the first line holds numbers, not column names"
+        raise SamplesError(file, what, "Put a header such as q1_deg,q2_deg,... above it", line=header_line)
+    check_names(header, file, header_line)
     if len(rows) == 1:
         fix = "Give one line per sample" + (", and quote labels that begin with #" if comments else "")
         raise SamplesError(file, "there is a header but no line of data", fix, line=header_line)
     table = Table(file, sha256, header, header_line, *body(rows[1:], header, delimiter, file), decimal_comma=False)
-    comma, _ = decimal_marks(table) if delimiter != "," else (None, None)
+    comma = delimiter != "," and has_decimal_commas(table)
     refuse_rows_set_aside(table.rows, comments, file, header, header_line)
-    return replace(table, decimal_comma=comma is not None)
+    return replace(table, decimal_comma=comma)
 
 
-def decimal_marks(table: Table) -> tuple[tuple[int, str] | None, tuple[int, str] | None]:
-    """Line and column where a number first has a decimal comma, and where a point; raises SamplesError for both."""
+def has_decimal_commas(table: Table) -> bool:
+    """Whether numbers have decimal commas; raises SamplesError where others have points."""
     comma = point = None
     for row, line in zip(table.rows, table.lines, strict=True):
         for name, cell in zip(table.header, row, strict=True):
@@ -294,7 +271,7 @@ def decimal_marks(table: Table) -> tuple[tuple[int, str] | None, tuple[int, str]
             line, name = max(comma, point)
             what = "decimal commas and decimal points are mixed"
             raise SamplesError(table.file, what, "Write all numbers one way", line=line, column=name)
-    return comma, point
+    return comma is not None
 
 
 def joined_tables(poses: Table, readings: Table, *, key: str = KEY) -> Table:
