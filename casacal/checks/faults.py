@@ -205,7 +205,6 @@ def _fitted(
 
 SMALL = 1e-5  # step of the finite difference, mm or mm per rad
 
-
 DOCTOR = "Run casacal doctor on rows of the pendant, and write the coupling into the problem's Conventions"
 
 MOST_FACES = 12  # faces beyond which their labels are not exchanged two by two

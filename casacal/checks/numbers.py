@@ -1,4 +1,4 @@
-"""One number of the arm that is another than the problem says, such as a lost zero; or all lengths, by one part."""
+"""Numbers that are others than the problem says: where the tool is, one of the arm, or all lengths by one part."""
 
 from __future__ import annotations
 
@@ -37,8 +37,6 @@ def tool_keys(problem: Problem) -> list[str]:
 
 
 MEASURED = 1.0  # standard deviation, mm, with which people measure a tool
-
-
 TOLD = 4.5  # cost, in units of the noise, by which rows tell two causes apart: three standard deviations
 
 
@@ -81,7 +79,6 @@ def alike_numbers(bound: BoundProblem, keys: Sequence[str]) -> dict[str, str]:
 
 
 CHANCE_OF_MOVE = 1e-3  # chance that a tool as stated moves so far, all its components together
-
 
 FAR = 2.0
 """Prior standard deviations that a component must move: where the model is wrong, small moves look improbable, too."""

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 HELP = "simulate samples, with the true arm"
 
-
 NUMBERS = {
     "tilt": ("DEG", "largest angle between plunger and face normal"),
     "repeatability": ("MM", "standard deviation of a reading, or of a touch where there is no dial"),

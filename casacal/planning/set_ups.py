@@ -153,7 +153,6 @@ def _usual(samples: Samples) -> Samples:
 
 STEP = 100.0  # height of a gauge block, mm
 
-
 BLOCK = (35.0, 35.0)  # its top, mm
 
 

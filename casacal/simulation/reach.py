@@ -21,7 +21,6 @@ from casacal.robots.traced_pose import traced
 ARRIVED = 1e-16
 """Squared miss (mm^2) below which a tip counts as arrived: no target needs more, and no machine's rounding less."""
 
-
 PLUNGES = 10  # rounds in which a reading is found: the tip goes nearly as the reading does
 
 RIDGE = 1e-7

@@ -33,7 +33,6 @@ Answered = TypeVar("Answered")
 
 CONNECT_SECONDS, CLOSE_SECONDS = 10, 5
 
-
 _ONE_AT_A_TIME = threading.Lock()
 """Compiled functions keep buffers, so threads of one process take turns; clocks then measure one method alone."""
 
