@@ -10,7 +10,6 @@ from casacal.calibration.saved import SavedCalibration as SavedCalibration
 from casacal.calibration.saved import load as load
 from casacal.changes.change import Change as Change
 from casacal.changes.changed import changed as changed
-from casacal.changes.update import updated as updated
 from casacal.checks import Finding as Finding
 from casacal.checks import check as check
 from casacal.compensation.arm import CalibratedArm as CalibratedArm

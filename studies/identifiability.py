@@ -131,12 +131,12 @@ def uncertainty_map(problem: Problem, samples: int, poses: int, out: Path) -> li
         bound = exact(problem, faces, tilt, samples)
         tips, slopes = bound.tips(bound.x0, joints), bound.tip_jacobian(bound.x0, joints)
         information = bound.normal(bound.x0).information
-        covariance = posterior_covariance(information, bound.prior_std)
+        covariance = posterior_covariance(information, bound.prior_information)
         std = np.linalg.norm(tip_stds(covariance, without_rigid(slopes, tips)), axis=1)
         dots = axes.scatter(np.hypot(tips[:, 0], tips[:, 1]), tips[:, 2], c=std, s=8, vmin=0, vmax=4, cmap="viridis")
         axes.set_title(f"{name}: {math.sqrt(float((std**2).mean())):.2f} mm RMS", fontsize=10)
         axes.set_xlabel("distance from the base axis, mm")
-        prior = bayesian_bound(np.zeros_like(information), bound.prior_std, slopes, tips)
+        prior = bayesian_bound(np.zeros_like(information), bound.prior_information, slopes, tips)
         rows.append((name, f"{prior:.2f}", f"{math.sqrt(float((std**2).mean())):.2f}", f"{std.max():.2f}"))
     panels[0].set_ylabel("height, mm")
     made.colorbar(dots, ax=panels, label="standard deviation of the tip, mm")
@@ -167,7 +167,7 @@ def report(run: Run) -> list[str]:
         "",
         "## Size of the arm",
         "",
-        "Conditional: all else exactly known, 1 / |J g| with g the change of all lengths by a part of one. Marginal:",
+        "Conditional: all else exactly known, 1 / |J g| with g the change of all lengths by a part of one. ArmAlone:",
         "one more unknown without a prior, all others with theirs, planes free. In the last row half of the touches",
         "are on faces that stand a certified 100 mm (+- 0.3 um) above others: about 100 ppm over the root of 240.",
         "",

@@ -66,7 +66,7 @@ def by_sqp(problem: LeastSquares, *, loss: Loss = SQUARE, equal: bool = False) -
     x = symbolic.x0 + scale * y
     residual = symbolic.residual(x)
     slopes = ca.jacobian(residual, y)
-    prior = ca.diag(ca.DM(problem.prior_information) * scale**2)
+    prior = ca.DM(problem.prior_information) * ca.mtimes(scale, scale.T)
     hessian = weight * (ca.mtimes(slopes.T, slopes * ca.repmat(loss.weight(residual), 1, n)) + prior)
     inputs = [y, ca.MX.sym("p", 0, 1), weight, dual]
     bend = ca.Function("nlp_hess_l", inputs, [hessian], ["x", "p", "lam_f", "lam_g"], ["hess_gamma_x_x"])

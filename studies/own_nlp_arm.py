@@ -81,7 +81,7 @@ class Tied(LeastSquares):
         first = [whole.names.index(name) for name in self.kept]
         self.names, self.units = tuple(self.kept), tuple(whole.units[j] for j in first)
         self.x0, self.start_std, self.datum = whole.x0[first], whole.start_std[first], whole.datum[first]
-        squares = self.spread.T @ whole.prior_information
+        squares = self.spread.T @ np.diagonal(whole.prior_information)
         self.prior_std = np.where(squares > 0, 1 / np.sqrt(np.where(squares > 0, squares, 1)), np.inf)
 
     @property

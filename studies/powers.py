@@ -85,7 +85,7 @@ class Faulty:
         bound = bind(self.problem, made.samples)
         x = made.truth(bound)
         shape, rows = bound.residual(x), bound.jacobian(x)
-        known = np.linalg.inv(rows.T @ rows + np.diag(bound.prior_information))
+        known = np.linalg.inv(rows.T @ rows + bound.prior_information)
         toward = rows.T @ shape
         size = math.sqrt(max(float(shape @ shape - toward @ known @ toward), 0.0))
         limit = norm.isf(LEVEL / 2)

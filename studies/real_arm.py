@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from casacal import BoundProblem, Problem, Result, Run, Samples, Study, TrackedPoint, bind, lm, load_problem
-from casacal.least_squares.restricted import Restricted
+from casacal.least_squares.conditioned import Conditioned
 from casacal.samples.holdout import split
 from casacal.study.statistics import mean_interval, paired
 from casacal.uncertainty.figures import residual_figures
@@ -63,7 +63,7 @@ def tracker_rms(problem: BoundProblem, x: np.ndarray, tracked: BoundProblem) -> 
     arm = tracked.problem.robot.parameters.keys()
     free = np.array([slot.key not in arm for slot in tracked.slots for _ in slot.columns])
     held = np.array([0.0 if loose else estimate[name] for name, loose in zip(tracked.names, free, strict=True)])
-    part = Restricted(tracked, free, held)
+    part = Conditioned(tracked, free, held)
     points = tracked.plain_residual(part.expand(lm(part).x)).reshape(-1, 3)
     return math.sqrt(float((points**2).sum(axis=1).mean()))
 

@@ -33,7 +33,7 @@ from casacal import (
     calibrate,
     load_problem,
 )
-from casacal.binding.marginal import Marginal
+from casacal.binding.seen import ArmAlone
 from casacal.calibration.calibrated import Calibrated
 from casacal.calibration.verdict import verdict_of
 from casacal.samples.holdout import split
@@ -76,7 +76,7 @@ class Tracked:
         """Standard deviation (mm RMS) that a result has of the same, reflector and station fitted."""
         poses = found.predict(self.joints, force=True).poses
         motion, x = found.unjudged.motion, found.unjudged.used_x
-        columns = motion.arm.free if isinstance(motion.arm, Marginal) else np.arange(x.size)
+        columns = motion.arm.free if isinstance(motion.arm, ArmAlone) else np.arange(x.size)
         reflector = self.fitted(poses)[1]
 
         def reached(at: np.ndarray) -> np.ndarray:

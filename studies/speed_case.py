@@ -117,7 +117,7 @@ class ByHand:
         self.made, self.n, self.ld = made, made.blocks.rows, made.q.shape[1]
         self.x, self.states = np.empty(27), np.tile(made.p, (CANDIDATES, 1))
         self.s, out = np.empty((28, 28)), np.empty(CANDIDATES)
-        scale, prior = made.blocks.start_std.copy(), made.blocks.prior_information.copy()
+        scale, prior = made.blocks.start_std.copy(), np.diagonal(made.blocks.prior_information).copy()
         self.normal = self._bound("limit_normal", self.n, self.ld, made.p, made.q, made.w, self.s)
         self.costs = self._bound("limit_costs", self.n, self.ld, CANDIDATES, self.states, made.q, made.w, out)
         fit = (made.p, made.q, made.w, scale, prior, evaluations, self.x)

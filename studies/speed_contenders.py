@@ -94,7 +94,7 @@ def fits(made: Case) -> Contenders:
     if made.blocks.rows > 10 * FEW:
         return found
     best = made.best
-    scale, pull = best.start_std, np.sqrt(best.prior_information) * best.start_std
+    scale, pull = best.start_std, np.sqrt(np.diagonal(best.prior_information)) * best.start_std
 
     def residual(y: np.ndarray) -> np.ndarray:
         return np.concatenate([best.residual(scale * y), pull * y])
@@ -111,7 +111,7 @@ def fits(made: Case) -> Contenders:
 def by_ceres(bound: BoundProblem) -> Callable[[], np.ndarray]:
     """A fit by Ceres: one residual block of all rows and the prior, dense Cholesky, one thread, tight tolerances."""
     kernel, p, lanes = kernels(bound)
-    scale, pull, rows = bound.start_std, np.sqrt(bound.prior_information) * bound.start_std, bound.rows
+    scale, pull, rows = bound.start_std, np.sqrt(np.diagonal(bound.prior_information)) * bound.start_std, bound.rows
     weighted = scale * NOISE
 
     class Touches(pyceres.CostFunction):
@@ -190,7 +190,7 @@ def checks(made: Case) -> Contenders:
     def by_casadi() -> object:
         v, w = ca.MX.sym("v", start.size), ca.DM(1 / rows.noise.T)
         mapped = residual.map(n)(v[block.columns.tolist()], ca.DM(block.constants), ca.DM(block.data.T))
-        prior = ca.dot(ca.DM(bound.prior_information), (bound.graph.local(v) - bound.x0) ** 2)
+        prior = ca.dot(ca.DM(np.diagonal(bound.prior_information)), (bound.graph.local(v) - bound.x0) ** 2)
         program = {"x": v, "f": (ca.sumsqr(w * mapped) + prior) / 2, "g": bound.graph.constraints(v)}
         quiet = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.linear_solver": "mumps"}
         return ca.nlpsol("plain", "ipopt", program, quiet)(x0=start, lbg=0, ubg=0)

@@ -21,7 +21,9 @@ def trial(seed, methods):
     bound = bind(_SOURCE.problem, simulation.samples)
     truth = simulation.truth(bound)
     tips = bound.tips(truth, _JOINTS)
-    best = bayesian_bound(bound.normal(truth).information, bound.prior_std, bound.tip_jacobian(truth, _JOINTS), tips)
+    best = bayesian_bound(
+        bound.normal(truth).information, bound.prior_information, bound.tip_jacobian(truth, _JOINTS), tips
+    )
     found = {}
     for name in methods:
         result = METHODS[name](bound)

@@ -58,7 +58,7 @@ def test_what_it_says_of_uncertainty_is_certified_too(runs):
 def test_an_arm_without_priors_reaches_what_scipy_reaches(hsr, flat):
     """Up to five gauges, and near-parallel axes that leave a curved valley of singular values 2e10 apart."""
     problem = bind(hsr.problem.with_prior(dict.fromkeys(flat, np.inf)), hsr.problem.read(hsr.samples))
-    pull, scale = np.sqrt(problem.prior_information), problem.start_std
+    pull, scale = np.sqrt(np.diagonal(problem.prior_information)), problem.start_std
     found = least_squares(
         lambda x: np.concatenate([problem.residual(x), pull * (x - problem.x0)]),
         problem.x0,

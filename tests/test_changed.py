@@ -24,16 +24,16 @@ from casacal import (
     simulate,
     tool_point,
 )
+from casacal.calibration.fresh import with_memory
+from casacal.calibration.opened import opened
 from casacal.changes.causes import Cause
 from casacal.changes.explain import Explanation, FittedCause, contenders, explanations
 from casacal.changes.look import AllTests, Look, row_bases
-from casacal.changes.posterior import with_drift, with_memory
 from casacal.errors import SamplesError, UnknownNameError
 from casacal.samples.samples import joined
 from casacal.simulation.simulate import simulate_one
 from casacal.simulation.touches import Draw, default_cell
 from casacal.uncertainty.fresh_rows import FreshRows, chances, likelihood, occam, seen_basis
-from casacal.verification.opened import opened
 
 STANDING = ("floor", "wall", "side")
 STOOD = {"adept_cobra600": ("offset",)}
@@ -243,7 +243,7 @@ def test_drift_adds_its_variance():
         robot("hsr_jr680")[2], touched("hsr_jr680", 20), problem=None, instrument=None, standing=STANDING
     ).fresh(STANDING)
     names = [name for name, known in zip(fresh.bound.names, fresh.known, strict=True) if known]
-    more = with_drift(fresh, {"theta4": 2e-3, "plane.wall": 0.1}).covariance - fresh.covariance
+    more = fresh.loosened({"theta4": 2e-3, "plane.wall": 0.1}).covariance - fresh.covariance
     wanted = np.zeros(len(names))
     wanted[names.index("theta4")] = 4e-6
     wanted[[k for k, name in enumerate(names) if name.startswith("plane.wall.")]] = 0.01

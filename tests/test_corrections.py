@@ -76,7 +76,7 @@ def test_evidence_is_the_dense_density_but_for_a_constant():
     slopes, heights = rng.normal(size=(40, 6)), rng.normal(size=40)
     told = NormalEquations.of(slopes, heights)
     one, other = np.full(6, 0.7), np.array([0.7, 0.7, 0.1, 2.0, 0.7, 1e-4])
-    ours = evidence(told, one**-2.0) - evidence(told, other**-2.0)
+    ours = evidence(told, np.diag(one**-2.0)) - evidence(told, np.diag(other**-2.0))
     assert ours == pytest.approx(dense(slopes, heights, one) - dense(slopes, heights, other), abs=1e-8)
 
 

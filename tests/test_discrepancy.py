@@ -12,7 +12,7 @@ import pytest
 from scipy.stats import chi2
 
 from casacal import CasacalError, bind, calibrate, huber, ipopt, lm, load, load_problem, sckf, sckf_lm, simulate, verify
-from casacal.binding.marginal import moving, seen
+from casacal.binding.seen import moving, seen
 from casacal.cli.main import main
 from casacal.compensation.result_file import sealed
 from casacal.discrepancy import Backlash, Effect, FaceForm, JointField, ThermalGrowth, TransmissionError, kit
@@ -221,7 +221,7 @@ def test_the_likelihood_of_sizes_is_that_of_the_dense_covariance(hsr, clean):
     zero = np.zeros(len(keys) + 1)
     for _ in range(3):
         logs = rng.normal(size=len(keys) + 1) * 0.5
-        given = (rows, bound.rows, bound.prior_information, groups, expected, spread)
+        given = (rows, bound.rows, np.diagonal(bound.prior_information), groups, expected, spread)
         ours = _objective(logs, *given)[0] - _objective(zero, *given)[0]
         assert ours == pytest.approx(dense(logs) - dense(zero), rel=1e-5, abs=1e-4)
     slope = _objective(logs, *given)[1]

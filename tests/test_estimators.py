@@ -232,7 +232,7 @@ def test_lm_finds_a_curved_zero_from_afar_and_its_cost_never_rises():
 
 
 def test_lm_agrees_with_scipy_on_a_robot(corner_bound):
-    lam = np.sqrt(corner_bound.prior_information)
+    lam = np.sqrt(np.diagonal(corner_bound.prior_information))
     scipy_result = least_squares(
         lambda x: np.concatenate([corner_bound.residual(x), lam * x]),
         corner_bound.x0,

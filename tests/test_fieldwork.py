@@ -146,7 +146,7 @@ def test_what_is_chosen_for_the_tip_is_better_there_and_worse_for_the_parameters
     for each in both:
         bound = bind(hsr.problem, each.samples)
         units = bound.start_std
-        information = units[:, None] * (bound.information(bound.x0) + np.diag(bound.prior_information)) * units
+        information = units[:, None] * (bound.information(bound.x0) + bound.prior_information) * units
         volumes.append(-np.linalg.slogdet(information)[1])
     assert both[0].error < both[1].error
     assert volumes[1] < volumes[0]

@@ -141,7 +141,7 @@ def test_tilt_is_the_cure_for_a_normal_tool_and_does_what_it_says(hsr):
     bound = bind(contact, simulate(contact, cell, seed=1).samples)
     joints = workspace_joints(contact.robot)
     found = identifiability(bound, bound.tip_jacobian(bound.x0, joints), bound.tips(bound.x0, joints))
-    offers, now = cures(bound, bound.x0), posterior_covariance(bound.information(bound.x0), bound.prior_std)
+    offers, now = cures(bound, bound.x0), posterior_covariance(bound.information(bound.x0), bound.prior_information)
     (tilted,) = (cure for cure in offers if "tilted by up to 30 degrees" in cure.words)
     assert tilted.recommended
     blind = [d for d in found.null if d.kind == "blind" and d.tip_mm > 0.1]

@@ -173,8 +173,8 @@ def test_a_method_may_be_a_function(hsr, found):
         x = problem.x0
         for _ in range(8):
             normal = problem.normal(x)
-            gradient = normal.gradient + problem.prior_information * (x - problem.x0)
-            x = x - np.linalg.solve(normal.information + np.diag(problem.prior_information + 1e-9), gradient)
+            gradient = normal.gradient + problem.prior_information @ (x - problem.x0)
+            x = x - np.linalg.solve(normal.information + problem.prior_information + 1e-9 * np.eye(x.size), gradient)
         return x
 
     mine = calibrate(hsr, method=gauss_newton)

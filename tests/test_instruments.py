@@ -162,7 +162,9 @@ def test_estimates_reach_their_bound_and_know_it(name):
         truth, result = simulated.truth(bound), lm(bound)
         assert result.converged
         seen = bound.tips(truth, JOINTS)
-        best = bayesian_bound(bound.normal(truth).information, bound.prior_std, bound.tip_jacobian(truth, JOINTS), seen)
+        best = bayesian_bound(
+            bound.normal(truth).information, bound.prior_information, bound.tip_jacobian(truth, JOINTS), seen
+        )
         ratios.append(tip_rms(without_rigid((bound.tips(result.x, JOINTS) - seen).ravel(), seen)) / best)
         arm = np.flatnonzero(np.isfinite(bound.prior_std))
         total += nees((result.x - truth)[arm], result.covariance[np.ix_(arm, arm)])

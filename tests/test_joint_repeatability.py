@@ -215,7 +215,7 @@ def test_far_touches_weigh_less_and_intervals_know(hsr, found):
         bound.scale[REPEATABILITY] * loose_one.bare.block.joint_noise.ravel(),
     )
     rows = bound.jacobian(x) * (bound.block.noise.ravel() / noise)[:, None]
-    known = posterior_covariance(rows.T @ rows, bound.prior_std)
+    known = posterior_covariance(rows.T @ rows, bound.prior_information)
     geometry = np.array([not key for key in bound.beside])
     known = known[np.ix_(geometry, geometry)]
     stds = np.sqrt(np.diagonal(known))

@@ -16,7 +16,7 @@ from casacal import (
     load_problem,
     simulate,
 )
-from casacal.binding.marginal import seen
+from casacal.binding.seen import seen
 from casacal.calibration.verdict import verdict_of
 from casacal.checks.check import _few_of_each_face
 from casacal.estimators.ipopt_objective import Objective
@@ -93,7 +93,7 @@ def test_a_hundred_faces_are_fitted(hsr, more):
         "more samples of the same kind",
         "samples at half the noise",
     }
-    assert leverages(bound, found).sum() == pytest.approx(determined(found.information, bound.prior_std), rel=1e-6)
+    assert leverages(bound, found).sum() == pytest.approx(determined(found.information, bound.prior_rows), rel=1e-6)
 
 
 def test_more_unknowns_than_one_problem_holds_are_refused_in_a_sentence(hsr):
@@ -141,7 +141,7 @@ def test_declared_effects_are_taken_out_with_their_own_priors(hsr, samples):
     kept = found.free
     out = np.setdiff1d(np.arange(x.size), kept)
     scale = bound.start_std
-    held = np.diag(np.where(np.isin(np.arange(x.size), out), bound.prior_information, 0.0))
+    held = np.diag(np.where(np.isin(np.arange(x.size), out), np.diagonal(bound.prior_information), 0.0))
     dense = (bound.information(x) + held) * (scale[:, None] * scale)
     schur = dense[np.ix_(kept, kept)] - dense[np.ix_(kept, out)] @ np.linalg.solve(
         dense[np.ix_(out, out)], dense[np.ix_(out, kept)]

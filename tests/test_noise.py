@@ -83,13 +83,9 @@ def test_effective_unknowns_are_the_trace_of_the_hat_matrix(seed):
     rng = np.random.default_rng(seed)
     problem = drawn(rng, dull=seed % 3)
     information = problem.matrix.T @ problem.matrix
-    hat = (
-        problem.matrix
-        @ np.linalg.pinv(information + np.diag(problem.prior_information), rcond=1e-14)
-        @ problem.matrix.T
-    )
+    hat = problem.matrix @ np.linalg.pinv(information + problem.prior_information, rcond=1e-14) @ problem.matrix.T
     assert effective_unknowns(problem, problem.x0) == pytest.approx(np.trace(hat), abs=1e-6)
-    assert determined(information, problem.prior_std) == pytest.approx(np.trace(hat), abs=1e-6)
+    assert determined(information, problem.prior_rows) == pytest.approx(np.trace(hat), abs=1e-6)
 
 
 @pytest.mark.long_unless("names0", "names1", "names2")

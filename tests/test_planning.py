@@ -153,7 +153,7 @@ def test_a_box_and_targets_are_where_the_tip_is_best(hsr):
     targets = inside.samples.joints[:3]
     one = plan(hsr.problem, hsr.cell, targets=targets, **given)
     bound, frame = bind(hsr.problem, one.samples), workspace_joints(hsr.problem.robot)
-    covariance = posterior_covariance(bound.information(bound.x0), bound.prior_std)
+    covariance = posterior_covariance(bound.information(bound.x0), bound.prior_information)
     at, over = ((bound.tip_jacobian(bound.x0, q), bound.tips(bound.x0, q)) for q in (targets, frame))
     stds = tip_stds(covariance, up_to_base(*at, *over))
     assert one.error == pytest.approx(np.sqrt((stds**2).sum(axis=1).mean()), rel=1e-4)

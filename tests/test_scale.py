@@ -78,7 +78,7 @@ def test_knowing_the_length_of_a_gauge_block_lowers_the_expected_tip_error(hsr, 
         error = (result.x - simulation.truth(bound)) / result.std
         assert np.abs(error).max() < 4.5
         tips, slopes = bound.tips(bound.x0, joints), bound.tip_jacobian(bound.x0, joints)
-        bounds.append(bayesian_bound(bound.normal(bound.x0).information, bound.prior_std, slopes, tips))
+        bounds.append(bayesian_bound(bound.normal(bound.x0).information, bound.prior_information, slopes, tips))
     assert bounds[1] < 0.75 * bounds[0]
 
 

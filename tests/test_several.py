@@ -129,7 +129,9 @@ def test_the_truth_is_recovered_and_covariances_are_right():
         total += nees((result.x - truth)[arm], result.covariance[np.ix_(arm, arm)])
         freedom += arm.size
         tips = bound.tips(truth, joints)
-        best = bayesian_bound(bound.information(truth), bound.prior_std, bound.tip_jacobian(truth, joints), tips)
+        best = bayesian_bound(
+            bound.information(truth), bound.prior_information, bound.tip_jacobian(truth, joints), tips
+        )
         ratios.append(tip_rms(without_rigid((bound.tips(result.x, joints) - tips).ravel(), tips)) / best)
     low, high = chi2.ppf([0.0005, 0.9995], freedom)
     assert low < total < high

@@ -18,8 +18,8 @@ from casacal.estimators.sckf import Belief, cubature_update
 from casacal.kernels.filter_passes import Cubature
 from casacal.kernels.native_rows import NativeNormal, PackedPieces
 from casacal.least_squares import objective
+from casacal.least_squares.conditioned import Conditioned
 from casacal.least_squares.objective import LeastSquares
-from casacal.least_squares.restricted import Restricted
 
 needs_compiler = pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")
 SIZES = ((1, 1), (2, 9), (5, 40), (27, 300), (5, 9_000))
@@ -143,7 +143,7 @@ def test_damped_steps_are_equal(case, damping):
     x = 0.3 * bound.start_std * np.random.default_rng(0).normal(size=bound.unknowns)
     normal, scale = bound.normal(x), bound.start_std
     one, other = bound.damped_step(x, normal, damping), LeastSquares.damped_step(bound, x, normal, damping)
-    whole = scale[:, None] * (normal.information + np.diag(bound.prior_information)) * scale
+    whole = scale[:, None] * (normal.information + bound.prior_information) * scale
     apart, step = (one.x - other.x) / scale, (other.x - x) / scale
     assert np.sqrt(apart @ whole @ apart) <= 1e-10 * np.sqrt(step @ whole @ step)
     assert one.squared_length == pytest.approx(other.squared_length, rel=1e-11)
@@ -207,8 +207,8 @@ def test_a_damped_step_solves_the_system_of_the_whole_objective(hsr, backend):
     bound = bind(hsr.problem, hsr.problem.read(hsr.samples), backend=backend)
     x = 0.3 * bound.start_std * np.random.default_rng(0).normal(size=bound.unknowns)
     jacobian, r = bound.jacobian(x), bound.residual(x)
-    stacked = np.vstack([jacobian, np.diag(np.sqrt(bound.prior_information))]) * bound.start_std
-    residual = np.concatenate([r, np.sqrt(bound.prior_information) * (x - bound.x0)])
+    stacked = np.vstack([jacobian, np.sqrt(bound.prior_information)]) * bound.start_std
+    residual = np.concatenate([r, np.sqrt(bound.prior_information) @ (x - bound.x0)])
     for damping in (1e-3, 10.0):
         damped = np.vstack([stacked, np.sqrt(damping) * np.eye(bound.unknowns)])
         y = np.linalg.lstsq(damped, -np.concatenate([residual, np.zeros(bound.unknowns)]), rcond=None)[0]
@@ -296,7 +296,7 @@ def test_numpy_takes_every_step_of_what_is_not_bound(corner_bound, taken):
     all_three(Matrix(a / noise, y / noise, nominal, prior))
     assert taken == IN_NUMPY
     taken.clear()
-    all_three(Restricted(corner_bound, corner_bound.datum, corner_bound.x0))
+    all_three(Conditioned(corner_bound, corner_bound.datum, corner_bound.x0))
     assert taken == IN_NUMPY
 
 

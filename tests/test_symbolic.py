@@ -175,7 +175,7 @@ def by_sqp(bound):
     symbolic, n = bound.symbolic, bound.unknowns
     y, weight, scale = ca.MX.sym("y", n), ca.MX.sym("lam_f"), ca.DM(bound.start_std)
     x = symbolic.x0 + scale * y
-    hessian = weight * (scale @ scale.T * symbolic.normal(x)[2] + ca.diag(scale**2 * bound.prior_information))
+    hessian = weight * (scale @ scale.T * symbolic.normal(x)[2] + scale @ scale.T * ca.DM(bound.prior_information))
     inputs = [y, ca.MX.sym("p", 0, 1), weight, ca.MX.sym("lam_g", 0, 1)]
     bend = ca.Function("nlp_hess_l", inputs, [hessian], ["x", "p", "lam_f", "lam_g"], ["hess_gamma_x_x"])
     solver = ca.nlpsol("own", "sqpmethod", {"x": y, "f": symbolic.objective(x)}, {**SQP, "hess_lag": bend})
@@ -227,8 +227,8 @@ def test_a_constraint_of_ones_own_is_met_at_the_minimum_on_it(ur5):
     best, s = lm(ur5).x.copy(), ur5.start_std
     for _ in range(8):
         normal = ur5.normal(best)
-        h = s[:, None] * (normal.information + np.diag(ur5.prior_information)) * s
-        g = s * (normal.gradient + ur5.prior_information * (best - ur5.x0))
+        h = s[:, None] * (normal.information + ur5.prior_information) * s
+        g = s * (normal.gradient + ur5.prior_information @ (best - ur5.x0))
         system = np.block([[h, (row * s)[:, None]], [(row * s)[None], np.zeros((1, 1))]])
         best = best + s * np.linalg.solve(system, np.concatenate([-g, [wanted - row @ best]]))[:-1]
     assert cost == pytest.approx(ur5.cost(best), rel=1e-8)
@@ -263,7 +263,7 @@ def test_the_damped_step_is_that_of_the_estimator(bound, mu):
     expected = LeastSquares.damped_step(bound, x, bound.normal(x), mu).x
     found = array(bound.symbolic.damped_step(x, mu))
     normal, s = bound.normal(x), bound.start_std
-    whole = s[:, None] * (normal.information + np.diag(bound.prior_information)) * s
+    whole = s[:, None] * (normal.information + bound.prior_information) * s
     apart, step = (found - expected) / s, (expected - x) / s
     assert np.sqrt(apart @ whole @ apart) <= 1e-9 * np.sqrt(step @ whole @ step)
 
@@ -305,7 +305,7 @@ def test_ten_thousand_rows_are_mapped_not_written_out(ur5):
     assert float(objective(x)) == pytest.approx(many.cost(x), rel=1e-11)
     assert many.symbolic.cost_function.n_instructions() < 1_000
     gradient = ca.Function("g", [symbol], [ca.gradient(many.symbolic.objective(symbol), symbol)])
-    expected = many.normal(x).gradient + many.prior_information * x
+    expected = many.normal(x).gradient + many.prior_information @ x
     np.testing.assert_allclose(array(gradient(x)) * many.start_std, expected * many.start_std,
                                rtol=0, atol=1e-10 * np.abs(expected * many.start_std).max())  # fmt: skip
     np.testing.assert_allclose(array(many.symbolic.residual(x)), many.residual(x), rtol=1e-8, atol=1e-7)

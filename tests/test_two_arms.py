@@ -102,7 +102,9 @@ def test_estimates_of_two_arms_reach_their_bound_and_know_it():
         bound = bind(problem, simulated.samples)
         truth, result = simulated.truth(bound), lm(bound)
         tips = bound.tips(truth, joints)
-        best = bayesian_bound(bound.information(truth), bound.prior_std, bound.tip_jacobian(truth, joints), tips)
+        best = bayesian_bound(
+            bound.information(truth), bound.prior_information, bound.tip_jacobian(truth, joints), tips
+        )
         ratios.append(tip_rms(without_rigid((bound.tips(result.x, joints) - tips).ravel(), tips)) / best)
         total += nees(result.x - truth, result.covariance)
         freedom += truth.size

@@ -39,8 +39,8 @@ def steepest(problem, *, steps=3):
     x = problem.x0.copy()
     for _ in range(steps):
         normal = problem.normal(x)
-        gradient = normal.gradient + problem.prior_information * (x - problem.x0)
-        scale = np.diag(normal.information) + problem.prior_information
+        gradient = normal.gradient + problem.prior_information @ (x - problem.x0)
+        scale = np.diag(normal.information + problem.prior_information)
         x = x - 0.5 * gradient / scale
     return x
 

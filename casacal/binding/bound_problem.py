@@ -22,6 +22,7 @@ from casacal.errors import ProblemError, SamplesError
 from casacal.kernels.filter_passes import FilterRows
 from casacal.kernels.native_rows import NativeKernels, NativeNormal, PackedPieces
 from casacal.kinematics import stacked_poses
+from casacal.least_squares.gaussian import Gaussian
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import DampedStep, ExtendedPass, FilterPass, LeastSquares, Normal
 from casacal.problem.problem import Problem
@@ -110,6 +111,7 @@ class BoundProblem(LeastSquares):
         scale: Mapping[str, float] = EMPTY,
         surveys: Sequence[Survey | None] = (),
         stated: KernelRows | None = None,
+        known: Gaussian | None = None,
     ) -> None:
         self.problem, self.slots, self.samples = problem, tuple(slots), tuple(samples)
         self.scale = FrozenMapping(scale)
@@ -125,6 +127,10 @@ class BoundProblem(LeastSquares):
         self.x0 = read_only(np.zeros(sum(sizes)))
         self.prior_std = read_only(np.concatenate([none, *(slot.unknown.prior_stds for slot in seen)]))
         self.start_std = read_only(np.concatenate([none, *(slot.unknown.start_stds for slot in seen)]))
+        self.known = None if known is None else known.of(self.names)
+        if self.known is not None:
+            self.x0, self.prior_std = map(read_only, self.known.placed(self.names, self.x0, self.prior_std))
+            self.start_std = read_only(np.where(np.isfinite(self.prior_std), self.prior_std, self.start_std))
         self.datum = read_only(np.repeat([slot.datum for slot in seen], sizes).astype(bool))
         self.surveys = tuple(surveys) or surveys_of(problem, samples, nominals(self.slots))
         self._asked, self._threads = backend, thread_count(threads)
@@ -140,12 +146,12 @@ class BoundProblem(LeastSquares):
     def __reduce__(self) -> tuple[Any, ...]:
         """What it was made from; kernels and sums are computed again."""
         made_from = (self.problem, self.slots, self.samples, self._asked, self._threads, self.scale, self.surveys)
-        return BoundProblem, made_from
+        return BoundProblem, (*made_from, None, self.known)
 
     def __eq__(self, other: object) -> bool:
         if self is other or not isinstance(other, BoundProblem):
             return self is other
-        mine, theirs = ((b.problem, b.slots, b.samples, b.scale) for b in (self, other))
+        mine, theirs = ((b.problem, b.slots, b.samples, b.scale, b.known) for b in (self, other))
         return alike(mine, theirs)
 
     def __hash__(self) -> int:
@@ -170,7 +176,12 @@ class BoundProblem(LeastSquares):
     def under(self, problem: Problem) -> BoundProblem:
         """The same rows and nominal values under another problem of the same geometry, such as one with effects."""
         slots = make_slots(problem, self.samples, {slot.name: slot.nominal for slot in self.slots})
-        return BoundProblem(problem, slots, self.samples, self._asked, self._threads, self.scale)
+        return BoundProblem(problem, slots, self.samples, self._asked, self._threads, self.scale, known=self.known)
+
+    def with_known(self, known: Gaussian) -> BoundProblem:
+        """The same rows with unknowns that are known together, by name, in place of priors of their own."""
+        given = (self.problem, self.slots, self.samples, self._asked, self._threads, self.scale, self.surveys)
+        return BoundProblem(*given, self._stated, known)
 
     def with_sizes(self, times: Mapping[str, float], *, noise: Mapping[str, float] | None = None) -> BoundProblem:
         """The same rows, sizes of effects multiplied by a factor for each key; with other factors of noise, if any."""
@@ -186,7 +197,8 @@ class BoundProblem(LeastSquares):
 
     def _like(self, slots: Sequence[Slot], samples: Sequence[Samples], scale: Mapping[str, float]) -> BoundProblem:
         stated = self._stated if list(map(id, samples)) == list(map(id, self.samples)) else None
-        return BoundProblem(self.problem, slots, samples, self._asked, self._threads, scale, self.surveys, stated)
+        given = (self.problem, slots, samples, self._asked, self._threads, scale, self.surveys, stated, self.known)
+        return BoundProblem(*given)
 
     def first_part(self) -> tuple[BoundProblem, Index] | None:
         """The geometry alone, where there are effects beside it."""
@@ -404,11 +416,8 @@ class BoundProblem(LeastSquares):
 
     def costs(self, states: Array, loss: Loss | None = None) -> Array:
         """Objective at many states (m, n): (m,); with a loss where one is given."""
-        away = states - self.x0
-        away *= away
-        total = away @ (self.prior_information / 2)
-        total += self._rows.costs(states, loss)
-        return np.asarray(total)
+        away = (states - self.x0) @ self.prior_rows.T
+        return np.asarray((away**2).sum(axis=1) / 2 + self._rows.costs(states, loss))
 
     def extended_pass(self, mean: Array, covariance: Array) -> ExtendedPass | None:
         """Let an extended filter take in all rows, in C where there is a compiler."""
@@ -459,7 +468,7 @@ class BoundProblem(LeastSquares):
     @cached_property
     def graph(self) -> RawGraph:
         """The symbolic form in raw coordinates, for the IPOPT reference."""
-        return RawGraph(self.slots, self.blocks, self._threads)
+        return RawGraph(self.slots, self.blocks, self._threads, self)
 
     @cached_property
     def symbolic(self) -> SymbolicProblem:

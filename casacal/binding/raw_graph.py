@@ -17,7 +17,8 @@ from casacal.binding.slots import Slot
 from casacal.kernels.block_rows import Buffered, CurvatureKernel
 from casacal.kernels.rows import Lanes
 from casacal.least_squares.losses import Loss
-from casacal.unknowns import Parameter, Unknown
+from casacal.least_squares.objective import LeastSquares
+from casacal.unknowns import Parameter
 
 Places: TypeAlias = tuple[Index, Index]
 
@@ -53,12 +54,12 @@ class RawGraph:
     """All rows in raw coordinates, with what makes raw coordinates valid.
 
     start: raw coordinates of the nominal. constraints: v -> g, zero where v is valid. local: v -> x, the local
-    coordinates that other estimators use. prior: (v, information (n,), x0 (n,)) -> half the prior's weighted square,
-    its gradient, its Hessian's entries, at the rows and columns `prior_places` of the upper triangle. bend: (v,
+    coordinates that other estimators use. prior: v -> half the prior's weighted square, its gradient,
+    its Hessian's entries, at the rows and columns `prior_places` of the upper triangle. bend: (v,
     multipliers) -> entries of the Hessian by v of the constraints times their multipliers, at `bend_places`.
     """
 
-    def __init__(self, slots: Sequence[Slot], blocks: Sequence[Block], threads: int) -> None:
+    def __init__(self, slots: Sequence[Slot], blocks: Sequence[Block], threads: int, problem: LeastSquares) -> None:
         starts = np.cumsum([0] + [slot.unknown.raw_size for slot in slots])
         first = {slot.name: int(start) for slot, start in zip(slots, starts, strict=False)}
         found = []
@@ -74,7 +75,7 @@ class RawGraph:
         local = (s.unknown.raw_local(s.nominal, symbol) for s, symbol in pairs if s.unknown.size)
         self.constraints = ca.Function("constraints", [v], [valid])
         self.local = ca.Function("local", [v], [ca.densify(ca.vertcat(*local, none))])
-        self.prior, self.prior_places = _by_entries(_prior(slots), 2)
+        self.prior, self.prior_places = _by_entries(_prior(slots, problem), 2)
         multipliers = ca.SX.sym("lam", valid.numel())
         hessian, _ = ca.hessian(ca.dot(multipliers, valid), v)
         self.bend, self.bend_places = _by_entries(ca.Function("bend", [v, multipliers], [ca.triu(hessian)]), 0)
@@ -86,33 +87,29 @@ def _by_entries(function: ca.Function, i: int) -> tuple[Buffered, Places]:
     return Buffered(function), (rows, columns)
 
 
-def _prior(slots: Sequence[Slot]) -> ca.Function:
-    terms = []
-    for numbers, some in itertools.groupby(slots, lambda slot: isinstance(slot.unknown, Parameter)):
-        together = list(some)
-        terms += (
-            [_prior_of_numbers(together)] if numbers else [_prior_of(slot.unknown, slot.nominal) for slot in together]
-        )
-    v, information, x0, cost, gradient, hessian = zip(*terms, strict=True)
-    given = [ca.vertcat(*each) for each in (v, information, x0)]
+def _prior(slots: Sequence[Slot], problem: LeastSquares) -> ca.Function:
+    """v -> the prior's cost, gradient and upper Hessian: unknowns that are known together are one piece of it."""
+    pieces, whole, x0 = list[tuple[ca.SX, ...]](), problem.prior_information, problem.x0
+    alone = problem.known is None
+    for numbers, some in itertools.groupby(slots, lambda slot: alone and isinstance(slot.unknown, Parameter)):
+        for together in [list(some)] if numbers or not alone else [[slot] for slot in some]:
+            first = together[0].first
+            here = slice(first, first + sum(slot.unknown.size for slot in together))
+            pieces.append(_prior_of(together, whole[here, here], x0[here]))
+    v, cost, gradient, hessian = zip(*pieces, strict=True)
     total = ca.densify(ca.sum1(ca.vertcat(*cost)))
-    return ca.Function("prior", given, [total, ca.densify(ca.vertcat(*gradient)), ca.diagcat(*hessian)])
+    return ca.Function("prior", [ca.vertcat(*v)], [total, ca.densify(ca.vertcat(*gradient)), ca.diagcat(*hessian)])
 
 
-def _prior_of(unknown: Unknown, nominal: Array) -> tuple[ca.SX, ...]:
-    """Symbols v, information and x0 of one unknown; its part of the prior's cost, gradient and upper Hessian."""
-    v, size = ca.SX.sym("v", unknown.raw_size), unknown.raw_size
-    information, x0 = ca.SX.sym("information", unknown.size), ca.SX.sym("x0", unknown.size)
-    if np.isinf(unknown.prior_stds).all():  # as faces mostly are
-        return v, information, x0, ca.SX(1, 1), ca.SX.zeros(size), ca.SX(size, size)
-    cost = ca.dot(information, (unknown.raw_local(nominal, v) - x0) ** 2) / 2 if unknown.size else ca.SX(0)
+def _prior_of(some: Sequence[Slot], information: Array, x0: Array) -> tuple[ca.SX, ...]:
+    """Symbols v of some unknowns; their part of the prior's cost, gradient and upper Hessian."""
+    v = ca.SX.sym("v", sum(slot.unknown.raw_size for slot in some))
+    if not information.any():  # as faces mostly are
+        return v, ca.SX(1, 1), ca.SX.zeros(v.numel()), ca.SX(v.numel(), v.numel())
+    starts = np.cumsum([0, *(slot.unknown.raw_size for slot in some)])
+    local = [slot.unknown.raw_local(slot.nominal, v[a:b]) for slot, a, b in zip(some, starts, starts[1:], strict=False)]
+    away = ca.vertcat(*(each for each, slot in zip(local, some, strict=True) if slot.unknown.size)) - ca.DM(x0)
+    pull = ca.mtimes(ca.sparsify(ca.DM(information)), away)
+    cost = ca.dot(away, pull) / 2
     hessian, gradient = ca.hessian(cost, v)
-    return v, information, x0, *ca.cse([cost, gradient, ca.triu(hessian)])
-
-
-def _prior_of_numbers(some: Sequence[Slot]) -> tuple[ca.SX, ...]:
-    """The same of parameters together, whose v less their nominal is linear: no derivative is asked for."""
-    nominal = np.concatenate([slot.unknown.raw_start(slot.nominal) for slot in some])
-    v, information, x0 = (ca.SX.sym(name, nominal.size) for name in ("v", "information", "x0"))
-    away = v - nominal - x0
-    return v, information, x0, ca.dot(information, away**2) / 2, information * away, ca.diag(information)
+    return v, *ca.cse([cost, gradient, ca.triu(hessian)])

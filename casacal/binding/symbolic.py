@@ -76,7 +76,7 @@ class SymbolicProblem:
         """Name and unit of each unknown."""
         self.x0, self.prior_std, self.start_std = problem.x0, problem.prior_std, problem.start_std
         """Mean and standard deviation of the prior (n,; infinite: flat), and a good scale of each unknown (n,)."""
-        self._information, self._slots, found, first = problem.prior_information, tuple(slots), [], 0
+        self._prior_rows, self._slots, found, first = problem.prior_rows, tuple(slots), [], 0
         for i, block in enumerate(blocks):
             for k, some in enumerate(block.slots):
                 rows, seen = block.by_pattern[k], tuple(slot.name for slot in some)
@@ -110,8 +110,8 @@ class SymbolicProblem:
         return self.residual_function(self._checked(x))
 
     def prior(self, x: Any) -> Expression:
-        """The prior's part of the objective: 1/2 sum ((x - x0) / prior_std)^2."""
-        return ca.dot(ca.DM(self._information), (self._checked(x) - ca.DM(self.x0)) ** 2) / 2
+        """The prior's part of the objective: 1/2 |W (x - x0)|^2, W the whitened rows of the prior."""
+        return ca.sumsqr(ca.mtimes(ca.sparsify(ca.DM(self._prior_rows)), self._checked(x) - ca.DM(self.x0))) / 2
 
     def objective(self, x: Any) -> Expression:
         """The objective f that all estimators minimise: half the sum of squares of `residual`, plus `prior`."""
@@ -159,9 +159,11 @@ class SymbolicProblem:
         """
         x, mu, scale = self._x, ca.MX.sym("mu"), ca.DM(self.start_std)
         _, gradient, squares = self.normal(x)
-        whole = squares + ca.DM(np.diag(self._information))
+        rows = ca.sparsify(ca.DM(self._prior_rows))
+        prior = ca.mtimes(rows.T, rows)
+        whole = squares + prior
         matrix = ca.densify(ca.mtimes(scale, scale.T) * whole + mu * ca.DM.eye(len(self.names)))
-        slope = scale * (gradient + ca.DM(self._information) * (x - ca.DM(self.x0)))
+        slope = scale * (gradient + ca.mtimes(prior, x - ca.DM(self.x0)))
         step = ca.solve(matrix, -slope, "ldl")
         return ca.Function("damped_step", [x, mu], [x + scale * step], ["x", "mu"], ["x_next"])
 

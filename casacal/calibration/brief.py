@@ -151,7 +151,8 @@ def _subject(calibration: Calibration) -> str:
         lower = calibration.method not in MINIMISERS and found.gap > 0
         apart = f"finds a cost lower by {found.gap:.2g}" if lower else "DIFFERS"
         checked = f"; {found.solver} {'agrees' if found.agrees else apart}"
-    return f"{calibration.fit.problem.robot.name}: {calibration.method} from {rows}{checked}"
+    known = "" if calibration.earlier is None else f" and {calibration.earlier.file}"
+    return f"{calibration.fit.problem.robot.name}: {calibration.method} from {rows}{known}{checked}"
 
 
 def together(calibration: Calibration) -> str:
@@ -166,8 +167,9 @@ def _residual(calibration: Calibration) -> str:
     assert after is not None
     said = calibration.fit.problem.words
     held = "" if part == "fit" else "held-out "
+    known = "as drawn" if calibration.earlier is None else "by the earlier result"
     return (
-        f"Residual on the {held}{said.things}, not accuracy: {after['rmse_mm']:.3g} {said.unit} RMS (as drawn: "
+        f"Residual on the {held}{said.things}, not accuracy: {after['rmse_mm']:.3g} {said.unit} RMS ({known}: "
         f"{before['rmse_mm']:.3g})."
     )
 

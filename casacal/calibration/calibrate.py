@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.binding.marginal import bind_further
+from casacal.binding.seen import bind_further
 from casacal.calibration.calibrated import Calibrated
 from casacal.calibration.given import RANDOM, Method, Progress, Reference, chosen, estimate, problem_from, samples_from
 from casacal.calibration.motion import tried_corrections
+from casacal.calibration.saved import AsArm
 from casacal.checks import Finding
 from casacal.checks.check import labels_alike
 from casacal.checks.set_aside import gross
+from casacal.compensation.arm import CalibratedArm
 from casacal.errors import CasacalError, ProblemError, SamplesError, came
 from casacal.estimators import lm, nlpsol, plane_only
 from casacal.estimators.ipopt import check_solver
@@ -31,6 +33,9 @@ from casacal.samples.repeats import without_copies
 from casacal.samples.samples import Measurements, Samples
 from casacal.uncertainty.discrepancy import with_effects
 from casacal.uncertainty.noise import found_noise
+
+if TYPE_CHECKING:
+    from casacal.calibration.earlier import RowsSince
 
 _LOG = logging.getLogger("casacal")
 
@@ -48,6 +53,9 @@ def calibrate(
     outliers: Literal["set aside", "keep"] = "set aside",
     discrepancy: Literal["kit", "none"] = "kit",
     loss: Loss | None = None,
+    prior: AsArm | CalibratedArm | str | Path | None = None,
+    loosen: Collection[str] | Mapping[str, float | None] = (),
+    standing: Collection[str] = (),
     backend: str | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
@@ -76,6 +84,11 @@ def calibrate(
             those to expect of any arm; "none" takes geometry for all there is, as a robust loss, methods that search
             a box, and thousands of faces do.
         loss: a robust loss, such as `huber()`, for methods that minimise: all but filters and "plane-only".
+        prior: an earlier result of this arm: all that it knows, with its covariance, its effects and its noise, is what
+            is known before these rows. They alone would tell less, and need be few. Faces are fitted anew.
+        loosen: what may have changed since, with `prior`: joints ("joint3"), unknowns ("theta3") or keys ("tool"), and
+            by how much ({"theta": 2e-5}, standard deviations in rad and mm; without, anywhere).
+        standing: labels of faces or unknowns that stand where the earlier calibration found them.
         backend, threads: what evaluates the rows, as for `bind`.
         progress: called with (step, cost) now and then.
 
@@ -95,15 +108,22 @@ def calibrate(
     _check_word(discrepancy, "for the discrepancy", "kit", "none")
     solver = _reference(reference)
     began = time.perf_counter()
-    single = Measurements.of(rows).map(without_copies)
+    before_these = _opened(prior, source, rows, loosen, standing, loss)
+    single = Measurements.of(rows if before_these is None else before_these.opened.rows).map(without_copies)
     groups = [instrument.groups for instrument in source.problem.instruments]
     fitted, held = split_each(single, holdout, seed, holdout_by, groups)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a status says what is not finite
         chosen_rows = single.take(fitted) if held.size else single
         set_aside, find_noise = outliers == "set aside" and loss is None, noise == "found"
-        bare, aside = _bound(source.problem, chosen_rows, set_aside, backend, threads)
-        fit = bare = _with_found_noise(bare, loss) if find_noise else bare
-        if discrepancy == "kit" and loss is None and name not in (*RANDOM, "plane-only"):
+        if before_these is not None:
+            fit, aside = before_these.bound(chosen_rows.sets[0], set_aside=set_aside)
+            fit = fit if find_noise else fit.with_noise()
+            bare = fit.under(source.problem.without_effects)
+            fit = fit if discrepancy == "kit" else bare
+        else:
+            bare, aside = _bound(source.problem, chosen_rows, set_aside, backend, threads)
+            fit = bare = _with_found_noise(bare, loss) if find_noise else bare
+        if before_these is None and discrepancy == "kit" and loss is None and name not in (*RANDOM, "plane-only"):
             fit = with_effects(bare, source.problem, find_noise=find_noise)
             if set_aside and fit is not bare:
                 found = fit, bare, aside, chosen_rows
@@ -116,12 +136,50 @@ def calibrate(
         result = estimate(run, name, fit, seed, loss, progress)
         solved = time.perf_counter()
         _LOG.info("%s: %s Cost %.10g after %d steps", name, result.message, result.cost, result.steps)
-        before, tried = plane_only(fit), tried_corrections(fit, result)
+        before = plane_only(fit)
+        tried = tried_corrections(fit, result) if before_these is None else before_these.result.tried(fit, result)
         checked = _check(fit, name, result, solver) if solver else None
     seconds = {"build": built - began, "solve": solved - built, "total": time.perf_counter() - began}
     return Calibrated(
-        name, seed, rows, fit, heldout, result, before, checked, seconds, source, aside, holdout_by, tried, bare
+        name,
+        seed,
+        rows,
+        fit,
+        heldout,
+        result,
+        before,
+        checked,
+        seconds,
+        source,
+        aside,
+        holdout_by,
+        tried,
+        bare,
+        None if before_these is None else before_these.result,
     )
+
+
+def _opened(
+    prior: Any,
+    source: ProblemFile,
+    rows: Samples | Measurements,
+    loosen: Collection[str] | Mapping[str, float | None],
+    standing: Collection[str],
+    loss: Loss | None,
+) -> RowsSince | None:
+    """The earlier result that these rows are to be taken with; None where there is none."""
+    if prior is None:
+        if loosen or standing:
+            raise CasacalError("Got what to loosen or what stands, without an earlier result", "Give prior=result")
+        return None
+    from casacal.calibration.earlier import earlier  # most calibrations begin from the drawing
+
+    if isinstance(rows, Measurements):
+        fix = "Calibrate with the old and the new rows together"
+        raise CasacalError("An earlier result is a prior of the rows of one instrument", fix)
+    if loss is not None:
+        raise CasacalError("Got a loss beside an earlier result", "Leave the loss out: gross rows are set aside")
+    return earlier(prior, source, rows, loosen=loosen, standing=standing)
 
 
 def _check_word(given: str, what: str, one: str, other: str) -> None:

@@ -7,12 +7,13 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind, each_alone
-from casacal.binding.marginal import Marginal, Seen, extended, seen
+from casacal.binding.seen import ArmAlone, Seen, extended, seen
 from casacal.calibration.given import Reference
 from casacal.calibration.metrics import Metrics, metrics_of, parts_of
 from casacal.calibration.motion import Motion, Tried, among, used_arm
@@ -45,6 +46,9 @@ from casacal.uncertainty.prior_moves import PriorMoves, prior_moves
 from casacal.uncertainty.transfer import LeftOut, leave_one_face_out
 from casacal.uncertainty.workspace import tip_rms, tip_stds, tool_unknowns, without_rigid, workspace_joints
 from casacal.values import FrozenMapping, Value
+
+if TYPE_CHECKING:
+    from casacal.calibration.earlier import EarlierResult
 
 MINIMISERS = ("lm", "sckf-lm", "ipopt")  # methods that promise the minimum; filters and controls may honestly miss it
 HARMLESS = 0.01  # tip motion (mm under the prior) below which an unseen direction needs no cure
@@ -97,6 +101,8 @@ class Calibration(Value):
     """The same rows without effects beside the geometry, and with the noise as it was found so; None where it is `fit`.
 
     What is wrong with the samples is looked for there: effects would explain part of it away."""
+    earlier: EarlierResult | None = None
+    """The result that was known before these rows; None where the drawing was."""
 
     def __eq__(self, other: object) -> bool:
         """Whether all but the time taken is equal."""
@@ -206,6 +212,11 @@ class Calibration(Value):
         return extended(self.heldout, before), extended(self.heldout, after)
 
     @cached_property
+    def earlier_chance(self) -> float:
+        """Chance of rows so far from what an earlier result expects of them; one where there is none."""
+        return 1.0 if self.earlier is None else self.earlier.chance_of(self.result)
+
+    @cached_property
     def left_out(self) -> tuple[LeftOut, ...]:
         """Each fitted face as the others predict it; a fit for each, and so only when it is asked for."""
         return leave_one_face_out(self.fit, self.result)
@@ -232,13 +243,18 @@ class Calibration(Value):
     @cached_property
     def tool_findings(self) -> tuple[Finding, ...]:
         """That the tool stands elsewhere than the problem says, where it does."""
-        if not self.fit.unknowns:
+        if not self.fit.unknowns or self.earlier is not None:  # the earlier result says where it is
             return ()
         return tuple(tool_elsewhere_at(self.bare, self.plain.x, self.plain.covariance))
 
     @cached_property
     def data_errors(self) -> tuple[Finding, ...]:
-        """Errors that the whole data check finds in the rows that were fitted; it takes many fits."""
+        """Errors that the whole data check finds in the rows that were fitted; it takes many fits.
+
+        None beside an earlier result, which says better than the drawing what is wrong with so few rows.
+        """
+        if self.earlier is not None:
+            return ()
         found = check(self.bare.problem, self.fit.measured.plain)
         return tuple(each for each in found if each.severity == "error")
 
@@ -250,7 +266,7 @@ class Calibration(Value):
             told = [*outside(alone.problem, alone.samples[0]), *rounded(alone), *sign_before_fit(alone)]
             name = alone.problem.names[0] if len(self.fit.samples) > 1 else ""
             found += [replace(each, instrument=name) for each in told]
-        if self.result.loss is None:
+        if self.result.loss is None and self.earlier is None:
             found += wrong_number(self.bare, alone=self.fit is self.bare)
         return tuple(each for each in found if each.severity == "error")
 
@@ -393,7 +409,7 @@ class Calibration(Value):
         if all(direction.tip_mm < HARMLESS for direction in directions):
             return (NOT_NEEDED,) * len(directions)
         geometry, x = seen(self.weighed, self.bare_x)
-        now = posterior_covariance(geometry.information(x), geometry.prior_std)
+        now = posterior_covariance(geometry.information(x), geometry.prior_information)
         return tuple(
             NOT_NEEDED if direction.tip_mm < HARMLESS else cure_for(geometry, now, self.cures, direction)
             for direction in directions
@@ -404,7 +420,7 @@ class Calibration(Value):
         """How estimate and tip follow every reading and prior; raises CasacalError where it is no minimum."""
         (_, tips, slopes), arm = self.workspace, self.motion.arm
         field = np.zeros((tips.size, self.fit.unknowns))
-        field[:, arm.free if isinstance(arm, Marginal) else slice(None)] = without_rigid(slopes, tips)
+        field[:, arm.free if isinstance(arm, ArmAlone) else slice(None)] = without_rigid(slopes, tips)
         return sensitivity(self.fit, self.result, field)
 
     @cached_property

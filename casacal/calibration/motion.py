@@ -10,10 +10,10 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.marginal import Marginal, Seen, moving
+from casacal.binding.seen import ArmAlone, Seen, moving
 from casacal.discrepancy.effect import Site
 from casacal.estimators import lm
-from casacal.least_squares.restricted import Restricted
+from casacal.least_squares.conditioned import Conditioned
 from casacal.least_squares.result import Result
 from casacal.uncertainty.beside_geometry import VERY_STRONG
 from casacal.uncertainty.discrepancy import at_most
@@ -47,7 +47,7 @@ class Motion:
         doubted = doubtful(fit, corrected) if corrected else set()
         sure = used_arm(fit, result, set(corrected) - doubted) if doubted else used
         arm, estimate = moving(fit, result.x)
-        x, less = (each[arm.free] if isinstance(arm, Marginal) else each for each in (used, sure))
+        x, less = (each[arm.free] if isinstance(arm, ArmAlone) else each for each in (used, sure))
         off = estimate - less
         return Motion(arm, x, off if off.any() else None, among(result, arm))
 
@@ -63,14 +63,14 @@ def used_arm(fit: BoundProblem, result: Result, corrected: Collection[str]) -> A
     if not left.any():
         return result.x
     arm, x = moving(fit, result.x)
-    assert isinstance(arm, Marginal)
+    assert isinstance(arm, ArmAlone)
     field = np.vstack([_over_workspace(fit, arm, x), _where_seen(fit, result.x)[:, arm.free]])
     geometry = ~np.array([bool(key) for key in besides(arm)], dtype=bool) & ~arm.datum
     lost = field[:, left[arm.free]] @ x[left[arm.free]]
     moves = np.linalg.lstsq(field[:, geometry] * arm.start_std[geometry], lost, rcond=SMALLEST)[0]
     used = np.where(left, 0.0, result.x)
     used[arm.free[geometry]] += moves * arm.start_std[geometry]
-    faces = Restricted(fit, fit.datum, used)
+    faces = Conditioned(fit, fit.datum, used)
     return np.asarray(faces.expand(lm(faces, start=used[fit.datum]).x))
 
 
@@ -87,7 +87,7 @@ def sees_the_tip(fit: BoundProblem) -> bool:
     return all(instrument.words.accuracy for instrument in fit.problem.instruments)
 
 
-def _over_workspace(fit: BoundProblem, arm: Marginal, x: Array) -> Array:
+def _over_workspace(fit: BoundProblem, arm: ArmAlone, x: Array) -> Array:
     """Moves of the tip (3 M, s) by each unknown, apart from the position of the base; squares add up to the mean's.
 
     Where nobody knows the columns that rows tell: what an effect does of them there, no geometry can stand for.
@@ -111,12 +111,12 @@ def _where_seen(fit: BoundProblem, x: Array) -> Array:
 
 def besides(arm: Seen) -> tuple[str, ...]:
     """For each unknown the effect that it belongs to, empty for those of the geometry."""
-    return tuple(arm.whole.beside[j] for j in arm.free) if isinstance(arm, Marginal) else arm.beside
+    return tuple(arm.whole.beside[j] for j in arm.free) if isinstance(arm, ArmAlone) else arm.beside
 
 
 def among(result: Result, arm: Seen) -> Array:
     """Covariance (s, s) of some unknowns of a fit."""
-    return result.covariance[np.ix_(arm.free, arm.free)] if isinstance(arm, Marginal) else result.covariance
+    return result.covariance[np.ix_(arm.free, arm.free)] if isinstance(arm, ArmAlone) else result.covariance
 
 
 def tip_extremes(motion: Motion, workspace: tuple[Array, Array, Array]) -> tuple[float, float]:

@@ -8,12 +8,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.binding.marginal import seen
+from casacal.binding.seen import seen
 from casacal.calibration import result_parts as parts
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.verdict import verdict_of
@@ -30,6 +30,9 @@ from casacal.simulation.simulate import Simulation
 from casacal.uncertainty.expectation import Box
 from casacal.uncertainty.identifiability import correlated_pairs
 from casacal.version import __version__
+
+if TYPE_CHECKING:
+    from casacal.calibration.earlier import EarlierResult
 
 FILES = ("report.html", "result.json", "parameters.csv", "residuals.png", "convergence.png")
 """What a calibration writes, most read first."""
@@ -77,10 +80,11 @@ def found_part(
             "heldout": 0 if calibration.heldout is None else len(calibration.heldout.measured),
             "heldout_by": calibration.heldout_by,
             "fitted": len(fit.measured),
-            **_fitted_rows(fit, Measurements.of(calibration.samples), folder),
+            **_fitted_rows(fit, Measurements.of(calibration.samples), folder, calibration.earlier),
             "set_aside": len(calibration.aside_lines),
             "copies": calibration.copies,
         },
+        **parts.earlier_part(calibration, folder),
         "cost": result.cost,
         "parameters": parts.parameter_rows(calibration),
         **parts.geometry(fit, calibration.unjudged.used_x),
@@ -100,10 +104,20 @@ def _tip(calibration: Calibration) -> dict[str, Any]:
     return {**tip, "flange_expected_rms_mm": flange, "flange_prior_rms_mm": drawn}
 
 
-def _fitted_rows(fit: BoundProblem, given: Measurements, folder: Path | None) -> dict[str, Any]:
-    """The rows that were fitted, to know them again; of several instruments by name, each with its file."""
+def _fitted_rows(
+    fit: BoundProblem, given: Measurements, folder: Path | None, earlier: EarlierResult | None
+) -> dict[str, Any]:
+    """The rows that were fitted, to know them again; of several instruments by name, each with its file.
+
+    With those of an earlier result: they tell the same arm, and are not fresh for this one either.
+    """
     if len(given.sets) == 1:
-        return {"fitted_rows": listing(fit.samples[0], fit.problem.layout())}
+        listed = listing(fit.samples[0], fit.problem.layout())
+        before = None if earlier is None else earlier.fitted_rows
+        if before is not None and before["columns"] == listed["columns"]:
+            values = [*before["values"], *listed["values"]]
+            listed = {**listed, "rows": before["rows"] + listed["rows"], "values": values}
+        return {"fitted_rows": listed}
     sets = {
         name: {
             "file": parts.seen_from(folder, some.file),

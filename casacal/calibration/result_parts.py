@@ -60,6 +60,25 @@ def head_of(source: ProblemFile, result: Result, seed: int, backend: str, folder
     }
 
 
+def earlier_part(calibration: Calibration, folder: Path | None) -> dict[str, Any]:
+    """Which result a calibration began from, and how its rows agree with it; nothing where that was the drawing."""
+    earlier = calibration.earlier
+    if earlier is None:
+        return {}
+    return {
+        "earlier": {
+            "result": seen_from(folder, earlier.file),
+            "sha256": earlier.sha256,
+            "verdict": asdict(earlier.verdict),
+            "expected_rms_mm": earlier.expected_mm,
+            "standing": earlier.standing,
+            "loosened": dict(earlier.loosened),
+            "chance": calibration.earlier_chance,
+            "left_out_lines": earlier.left_out,
+        }
+    }
+
+
 def seen_from(folder: Path | None, file: str) -> str:
     """A path as a file in a folder names it; as it is where there is no folder, no such file, or no way between."""
     if folder is None or not file or not Path(file).exists():

@@ -73,7 +73,7 @@ def sensitivity(fit: BoundProblem, result: Result, tip: Array) -> Sensitivity:
         raise CasacalError(what, f"Take at most {MOST_ROWS:,} rows")
     kinds, starts = fit.symbolic.kinds, fit.measured.starts
     models = [_row_function(*each) for each in zip(fit.problem.models, fit.problem.instruments, strict=True)]
-    hessian, found = np.diag(fit.prior_information), []
+    hessian, found = fit.prior_information.copy(), []
     for kind in kinds:
         given, of_row = (result.x[kind.columns], kind.constants), models[kind.instrument][0]
         rows = [[each.full() for each in of_row(*given, *row)] for row in zip(kind.data, kind.noise, strict=True)]
@@ -92,15 +92,16 @@ def sensitivity(fit: BoundProblem, result: Result, tip: Array) -> Sensitivity:
         tips[places] = np.sqrt(np.maximum(np.einsum("kmi,ij,kmj->k", slopes, seen, slopes), 0.0))
         readings += [(fit.measured.place(int(k)), name) for k in places for name in models[kind.instrument][1]]
         by_reading.append(-inverse[:, kind.columns] @ changes)
-    prior = np.sqrt(fit.prior_information)
+    pull, held = fit.prior_information, np.diagonal(fit.prior_information)
+    std = np.where(held > 0, 1 / np.sqrt(np.where(held > 0, held, 1.0)), 0.0)  # of each, were the others known
     return Sensitivity(
         fit.names,
         tuple(readings),
         np.concatenate(by_reading, axis=1),
-        inverse * fit.prior_information,
+        inverse @ pull,
         tuple(fit.measured.place(k) for k in range(len(fit.measured))),
         tips,
-        prior * np.sqrt(np.maximum(np.diagonal(squares), 0.0)),
+        std * np.sqrt(np.maximum(np.diagonal(pull @ squares @ pull), 0.0)),
     )
 
 

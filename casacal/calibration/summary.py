@@ -13,7 +13,7 @@ from casacal.calibration.verdict import verdict_of
 from casacal.errors import CasacalError
 from casacal.samples.samples import Measurements
 from casacal.version import __version__
-from casacal.wording import METRE, lower, mm
+from casacal.wording import METRE, chance, counted, listed, lower, mm
 
 SHOWN_DIRECTIONS = 6
 SHOWN_PAIRS = 4
@@ -55,8 +55,23 @@ def _opening(calibration: Calibration, name: str) -> str:
         f"casacal {__version__}, {fit.problem.robot.name} ({name}), {calibration.method}\n"
         f"{calibration.result.message}\n"
         f"{len(calibration.samples)} samples of {calibration.samples.file}: {rows}; "
-        f"{_counted(calibration)}{fit.unknowns} unknowns"
+        f"{_counted(calibration)}{fit.unknowns} unknowns{_since(calibration)}"
     )
+
+
+def _since(calibration: Calibration) -> str:
+    """Which result these rows were taken with, what was loosened, and whether they agree with it."""
+    earlier = calibration.earlier
+    if earlier is None:
+        return ""
+    stds = (name if std is None else f"{name} by {std:g}" for name, std in earlier.loosened.items())
+    parts = [
+        f"\nWith what {earlier.file} knows: rows so far from what it expects, {chance(calibration.earlier_chance)}"
+    ]
+    parts += [f"may have changed: {listed(list(stds))}"] if earlier.loosened else []
+    parts += [f"has not moved: {listed(list(earlier.standing))}"] if earlier.standing else []
+    parts += [f"{counted(len(earlier.left_out), 'row')} it was calibrated from left out"] if earlier.left_out else []
+    return "; ".join(parts) + "."
 
 
 def _counted(calibration: Calibration) -> str:

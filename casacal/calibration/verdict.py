@@ -12,7 +12,7 @@ from casacal.checks import Finding
 from casacal.checks.numbers import SCALE, without_its_likes
 from casacal.compensation.result import Verdict
 from casacal.uncertainty.prior_moves import prior_scatter
-from casacal.wording import counted, listed, mm, sentence, times
+from casacal.wording import chance, counted, listed, mm, sentence, times
 
 GAIN = 0.9  # expected tip error over the one before, above which little was gained
 WORSE = 1.1  # residual after over before, on the very rows that were fitted, above which calibrating made the arm worse
@@ -52,7 +52,7 @@ def verdict_of(calibration: Calibration) -> Verdict:
         clause = "no second solver checked that this is the minimum"
         found.append(Doubt(clause, f"{sentence(clause)} Run it again without --no-reference."))
     before, now = calibration.tip_std
-    if now > GAIN * before:
+    if now > GAIN * before and calibration.earlier is None:  # what an earlier result knows is no mere prior
         words = "Little was gained: these samples say almost nothing about the tip beyond the priors."
         found.append(Doubt("little was gained", words))
     if found:
@@ -94,7 +94,8 @@ def _against(calibration: Calibration) -> list[tuple[str, str]]:
     if not calibration.result.converged:
         found.append(_unfinished(calibration))
     found += [(clause, sentence(clause)) for clause in _missed_minimum(calibration)]
-    for look in (unexplained, priors_contradicted):
+    looks = (unexplained, priors_contradicted) if calibration.earlier is None else (earlier_contradicted,)
+    for look in looks:
         found += [] if found else [(clause, sentence(clause)) for clause in look(calibration)]
     if calibration.result.converged and not math.isfinite(calibration.tip_std[1]):
         clause = "these samples do not bound the tip error"
@@ -187,6 +188,23 @@ def unexplained(calibration: Calibration) -> list[str]:
     if moved > FAR:
         return [f"{said}, even though parameters moved by up to {moved:.0f} prior standard deviations"]
     return []
+
+
+CONTRADICTED = 1e-3  # chance below which new rows do not fit what an earlier result knows
+
+
+def earlier_contradicted(calibration: Calibration) -> list[str]:
+    """That new rows lie where the earlier result, with what was loosened, does not expect them."""
+    chance_of_rows = calibration.earlier_chance
+    if not chance_of_rows < CONTRADICTED:
+        return []
+    assert calibration.earlier is not None
+    loosened = listed(list(calibration.earlier.loosened))
+    what = f"something else than {loosened} has changed" if loosened else "something has changed"
+    return [
+        f"these rows contradict the earlier result ({chance(chance_of_rows)}): {what}, or rows are wrong. casacal "
+        "changed looks for it; name it with --loosen (loosen=), or calibrate anew"
+    ]
 
 
 def priors_contradicted(calibration: Calibration) -> list[str]:

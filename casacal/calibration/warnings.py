@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,7 +55,7 @@ def doubts(calibration: Calibration) -> list[Doubt]:
     """The same, each with its clause."""
     if not calibration.fit.unknowns:  # nothing moved, and nothing is known better or worse
         return []
-    found = (
+    found: tuple[Callable[[Calibration], Doubt | None], ...] = (
         _rows_set_aside,
         _tool_elsewhere,
         _far_parameters,
@@ -70,7 +71,23 @@ def doubts(calibration: Calibration) -> list[Doubt]:
         _ignored_rows,
         _effects_left_out,
     )
+    if calibration.earlier is not None:  # what is known beforehand is not the drawing
+        found = (_since_earlier, *(look for look in found if look not in AS_DRAWN))
     return [doubt for look in found if (doubt := look(calibration)) is not None]
+
+
+def _since_earlier(calibration: Calibration) -> Doubt | None:
+    """What an earlier result leaves open: its own doubts, and what these rows alone put right."""
+    earlier = calibration.earlier
+    assert earlier is not None
+    if earlier.loosened:
+        what = listed(list(earlier.loosened))
+        clause = f"{what} may have changed, and no fresh rows have verified since that nothing else did"
+        return Doubt(clause, f"{capital(clause)}. Verify with rows in other postures.", VERIFY)
+    if earlier.verdict.level != "calibrated":
+        clause = "the earlier result was to be used with care"
+        return Doubt(clause, f"{capital(clause)}: {earlier.verdict.words}")
+    return None
 
 
 def _scale(calibration: Calibration) -> Doubt | None:
@@ -263,3 +280,7 @@ def larger_than_any(calibration: Calibration) -> Doubt | None:
         "else probably errs as well, which no figure counts. What is corrected of it counts as an error all the same. "
         "casacal check looks for the cause; touches in other postures and on other faces separate the effects.",
     )
+
+
+AS_DRAWN = (_far_parameters, _loose_priors, _unknown_places)
+"""What is asked of an arm of which nothing but its drawing is known."""

@@ -7,9 +7,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from casacal.array_types import Array
+from casacal.calibration.opened import Judged
 from casacal.samples.samples import Samples
 from casacal.values import Value, frozen
-from casacal.verification.opened import Judged
 from casacal.wording import capital, chance, listed, numbered_lines, times, with_spread
 
 INTERVAL = 1.96  # standard deviations of an interval of 95 %
@@ -237,9 +237,16 @@ def _shown(found: Change) -> str:
 
 def _next(found: Change) -> str:
     if found.ended == CHANGED:
+        (cause,) = found.causes
+        standing = [
+            name for name in found.judged.standing if cause.kind != "base" and name not in cause.name.split(".")
+        ]
+        words = ["casacal calibrate PROBLEM", found.judged.samples, "--prior-from", found.judged.result]
+        words += ["--loosen", cause.name.replace(" ", "")] if cause.kind in ("joint", "tool") else []
+        words += ["--standing", ",".join(standing)] if standing else []
         return (
-            "find out what was done to the arm. Then update the old result with these rows (--update DIR) or "
-            "calibrate again, and verify with fresh rows."
+            "find out what was done to the arm. Then take the old result as the prior of these rows "
+            f"({' '.join(words)}) or calibrate again, and verify with fresh rows."
         )
     if found.ended == ROWS:
         return f"measure {numbered_lines(found.bad_lines)} again, and run this command again."

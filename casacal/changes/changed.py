@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.calibration.fresh import with_memory
+from casacal.calibration.opened import Opened, opened
 from casacal.calibration.saved import AsArm
 from casacal.changes.change import CHANGED, NOTHING, ROWS, UNDECIDED, CauseFound, Change, Shown
 from casacal.changes.explain import SURE, UNEXPLAINED, Explanation, contenders, explanations, telling
 from casacal.changes.look import Look
-from casacal.changes.posterior import with_drift, with_memory
 from casacal.compensation.arm import CalibratedArm
 from casacal.errors import CasacalError, SamplesError, came
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
 from casacal.samples.samples import Samples
 from casacal.values import is_real
-from casacal.verification.opened import Opened, opened
 
 MOST = 1500  # rows that are looked at: each is compared with every cause as one that is off
 FEWEST = 3  # rows that may be off, of few; of many one in twenty
@@ -77,7 +77,7 @@ def looked(
     if len(given.rows) > MOST:
         fix = f"Give up to {MOST:,} of them"
         raise SamplesError(given.rows.file, f"{len(given.rows):,} rows are too many to look at one by one", fix)
-    fresh = with_drift(with_memory(given.fresh(standing), given.arm), drift)
+    fresh = with_memory(given.fresh(standing), given.arm).loosened(drift)
     first = Look.at(fresh, given.noise_freedom, float(alarm), int(seed))
     look, best, places = _without_bad(first, len(given.rows), float(alarm), int(seed))
     bad = sorted(set(range(len(given.rows))) - set(places.tolist()))

@@ -19,25 +19,28 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
+from casacal.calibration.fresh import Fresh
 from casacal.changes.causes import Cause
 from casacal.changes.change import Change
 from casacal.changes.look import Look, alone
-from casacal.changes.posterior import Posterior, Prior
 from casacal.errors import CasacalError
+from casacal.estimators import lm
 from casacal.files import MADE, write_text
+from casacal.least_squares.conditioned import Conditioned
+from casacal.least_squares.gaussian import Gaussian
 from casacal.least_squares.linalg import svd
 from casacal.planning.choice import drawn_touch, pool_of
 from casacal.planning.route import FIT, postures_text, shortest_way
 from casacal.problem.cell import Cell, Face
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Layout, Samples
-from casacal.uncertainty.fresh_rows import chance, likelihood, occam
-from casacal.verification.fresh import Fresh
+from casacal.uncertainty.fresh_rows import chance, covariance_root, likelihood, occam
 
 OFF = 100.0
 """Times its noise by which a row that is off usually is: a turn of a pointer that was not counted, 1 mm of 0.01 mm."""
 
 SURE = 0.95  # part of the evidence from which on one cause is the one
+ANYWHERE, STAYS = 100.0, 1e-3  # usual changes that what shows may be off by, and what does not show
 STEPS = 60  # of the fit of a cause: the right one needs five, and a wrong one may creep along a valley for ever
 UNEXPLAINED = 0.01  # chance of what a cause leaves unexplained, below which it is not the whole of it
 UNUSUAL = 5.0  # usual changes, of 3 mrad or 3 mm each, beyond which one is not believed where another explains as much
@@ -46,12 +49,15 @@ NAMED = 0.02  # part of the evidence below which a cause is none of those that r
 
 @dataclass(frozen=True, eq=False)
 class FittedCause:
-    """A cause at its best: its unknowns (k,) with standard deviations, everything, and the ways (n, v) to that."""
+    """A cause at its best: its unknowns (k,) with standard deviations, and everything.
+
+    x (n,): where all stands. root (n, v): of its covariance.
+    """
 
     shift: Array
     std: Array
-    posterior: Posterior
-    ways: Array
+    x: Array
+    root: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +89,7 @@ def explanations(look: Look, *, linear: bool = False) -> list[Explanation]:
 
     linear: causes to first order, which says nothing of where they leave the arm.
     """
-    tests, prior = look.tests, None if linear else Prior.of(look.fresh, look.shifted.unknowns)
+    tests = look.tests
     by_cause, by_row, nothing = tests.found
     p_cause, p_row, _ = tests.p
     found = []
@@ -91,21 +97,15 @@ def explanations(look: Look, *, linear: bool = False) -> list[Explanation]:
         if not look.seen(k):
             continue
         n, cost = int(tests.freedoms[k]), occam(look.slopes[k], cause.sizes)
-        if prior is None:
+        if linear:
             left, evidence = _judged(look, nothing - float(by_cause[k]), n, cost)
             found.append(Explanation(cause, -1, float(p_cause[k]), left, evidence))
             continue
         _, _, rows = svd(look.slopes[k] * cause.sizes)
         used = cause.sizes[:, None] * rows[:n].T  # directions in its own unknowns along which it shows
-        ways = np.zeros((look.shifted.unknowns, n))
-        ways[cause.columns] = used
-        wider = prior.with_ways(ways, np.ones(n))
-        posterior = wider.given(look.shifted, most=STEPS, strict=False)
-        covariance = posterior.covariance[-n:, -n:]
-        std = np.sqrt(np.maximum(np.diagonal(used @ covariance @ used.T), 0.0))
-        left, evidence = _judged(look, posterior.chi_square, n, cost)
-        p = chance(max(nothing - posterior.chi_square, 0.0), n, tests.noise)
-        fitted = FittedCause(used @ posterior.v[-n:], std, posterior, wider.ways)
+        fitted, chi_square = _fitted(look, cause, used)
+        left, evidence = _judged(look, chi_square, n, cost)
+        p = chance(max(nothing - chi_square, 0.0), n, tests.noise)
         found.append(Explanation(cause, -1, p, left, evidence, fitted=fitted))
     per_row = tests.rows.shape[2]
     for k in np.flatnonzero(tests.row_freedoms > 0).tolist():
@@ -116,6 +116,35 @@ def explanations(look: Look, *, linear: bool = False) -> list[Explanation]:
     weights = [math.exp(each.evidence - best) for each in found]
     shared = [replace(each, share=weight / sum(weights)) for each, weight in zip(found, weights, strict=True)]
     return sorted(shared, key=lambda each: -each.share)
+
+
+def _fitted(look: Look, cause: Cause, used: Array) -> tuple[FittedCause, float]:
+    """A cause at its best with all that the calibration knows, and chi-square there.
+
+    used: directions (k, n) of its unknowns along which it shows; along others it stays where it was.
+    """
+    fresh, n = look.fresh, look.fresh.bound.unknowns
+    names = tuple(look.shifted.names[j] for j in cause.columns)
+    free = ANYWHERE**2 * used @ used.T + STAYS**2 * np.diag(cause.sizes**2)
+    known = fresh.gaussian.beside(Gaussian(names, np.zeros(len(names)), free))
+    at = np.concatenate([fresh.x, np.zeros(look.shifted.unknowns - n)])
+    kept = np.arange(at.size) < n
+    kept[cause.columns] = True
+    part = Conditioned(look.shifted.with_known(known), kept, at)
+    found = lm(part, start=at[kept], max_steps=STEPS)
+    x, covariance = part.expand(found.x), np.zeros((at.size, at.size))
+    covariance[np.ix_(kept, kept)] = found.covariance
+    own = cause.columns
+    std = np.sqrt(np.maximum(np.diagonal(covariance)[own], 0.0))
+    return FittedCause(x[own], std, x, _root(covariance)), 2 * found.cost
+
+
+def _root(covariance: Array) -> Array:
+    """Root (n, v) of a covariance, along all that is known."""
+    known = np.flatnonzero(np.isfinite(np.diagonal(covariance)) & (np.diagonal(covariance) > 0))
+    root = np.zeros((len(covariance), known.size))
+    root[known] = covariance_root(covariance[np.ix_(known, known)])
+    return root
 
 
 def contenders(found: list[Explanation]) -> list[Explanation]:
@@ -185,10 +214,8 @@ def telling(
 
 def _expected(fitted: FittedCause, there: BoundProblem) -> _Expected:
     """Of an explanation: where it puts the arm, and what it leaves open."""
-    posterior, count = fitted.posterior, len(there.block.samples)
-    half = np.linalg.cholesky(posterior.covariance + 1e-18 * np.eye(len(posterior.covariance)))
-    slopes = there.jacobian(posterior.x) @ fitted.ways @ half
-    return there.residual(posterior.x).reshape(count, -1), slopes.reshape(count, -1, slopes.shape[1])
+    count, slopes = len(there.block.samples), there.jacobian(fitted.x) @ fitted.root
+    return there.residual(fitted.x).reshape(count, -1), slopes.reshape(count, -1, slopes.shape[1])
 
 
 def _odds(one: _Expected, two: _Expected, rows: list[int]) -> float:

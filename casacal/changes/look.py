@@ -13,10 +13,11 @@ from scipy.special import fdtri, ndtri
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.changes.causes import Cause, causes_of, with_shifts
+from casacal.calibration.fresh import Fresh
+from casacal.calibration.shifts import with_shifts
+from casacal.changes.causes import Cause, causes_of
 from casacal.least_squares.linalg import svd
 from casacal.uncertainty.fresh_rows import FreshRows, chances, seen_basis
-from casacal.verification.fresh import Fresh
 
 DRAWS = 20_000  # sets of rows of an arm that has not changed: the rate of false alarms is met to 0.0007 at 1 %
 AT_ONCE = 4_000_000  # numbers that are drawn at once

@@ -117,12 +117,12 @@ def misfit(
 
 def weighted(bound: BoundProblem, result: Result, residual: Array) -> Array:
     """Residuals (rows + n,) of a robust fit as weighted, the prior's behind them."""
-    return np.concatenate([np.sqrt(result.weights) * residual, result.x / bound.prior_std])
+    return np.concatenate([np.sqrt(result.weights) * residual, bound.prior_rows @ (result.x - bound.x0)])
 
 
 def freed_of_unknowns(bound: BoundProblem, result: Result, slopes: Array) -> Array:
     """Slopes (rows + n, k) of residuals (rows, k) as weighted, without what unknowns can follow, priors included."""
     root = np.sqrt(result.weights)[:, None]
-    unknowns = np.vstack([root * bound.jacobian(result.x), np.diag(1 / bound.prior_std)])
-    left = np.vstack([root * slopes, np.zeros((bound.unknowns, slopes.shape[1]))])
+    unknowns = np.vstack([root * bound.jacobian(result.x), bound.prior_rows])
+    left = np.vstack([root * slopes, np.zeros((len(bound.prior_rows), slopes.shape[1]))])
     return np.asarray(left - unknowns @ np.linalg.lstsq(unknowns, left, rcond=None)[0])

@@ -10,8 +10,8 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.binding.marginal import Seen
 from casacal.binding.noise_scale import times
+from casacal.binding.seen import Seen
 from casacal.checks.finding import Fault, Finding, Undone, quick_fit
 from casacal.errors import CasacalError
 from casacal.estimators import lm

@@ -24,6 +24,9 @@ from casacal.cli.common import (
     adjustments,
     box_of,
     check_folder,
+    made_from,
+    names_of,
+    numbers_of,
     read_samples,
     sample_files,
     spare,
@@ -35,6 +38,7 @@ from casacal.wording import mm
 
 if TYPE_CHECKING:
     from casacal.calibration.calibration import Calibration
+    from casacal.compensation.arm import CalibratedArm
     from casacal.problem.problem_file import ProblemFile
     from casacal.uncertainty.expectation import Box
 
@@ -69,6 +73,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     words = "solver of the cross-check: ipopt (default), fatrop, sqpmethod or another nlpsol plug-in of CasADi"
     add(parser, "--reference NAME", words)
     add(parser, "--no-reference", "skip the cross-check")
+    words = "result.json, or its folder, of an earlier calibration of this arm: what is known before these rows"
+    add(parser, "--prior-from RESULT", words)
+    words = "with --prior-from: what may have changed since: joint3,theta=2e-5,... (rad, mm; else anywhere)"
+    add(parser, "--loosen NAMES ...", words)
+    add(parser, "--standing NAMES ...", "with --prior-from: faces that have not been moved since")
     words = "what evaluates the rows; default: CASACAL_BACKEND, or auto"
     add(parser, "--backend", words, choices=("auto", "c", "blocks"))
     add(parser, "--out DIR", "write report.html, result.json, parameters.csv and pictures there")
@@ -94,9 +103,11 @@ def run(options: argparse.Namespace) -> int:
     source = load_problem(options.problem)
     problem = adjusted(source.problem, options)
     given = sample_files(source, options)
+    loosen, standing, prior = _since(options)
     if options.out is not None:
         places = [Path(options.out) / name for name in FILES]
-        spare(places, *given.values(), options.readings, *(file.path for file in source.files))
+        read: list[str | Path] = [] if prior is None else [prior.file, *made_from(prior)]
+        spare(places, *given.values(), options.readings, *(file.path for file in source.files), *read)
     samples = read_samples(source, options)
     box = None if options.box is None else box_of(options.box)
     method = options.method or ("sckf-lm" if options.loss is None else "lm")
@@ -112,11 +123,33 @@ def run(options: argparse.Namespace) -> int:
             noise=options.noise or "found",
             outliers="keep" if options.keep_outliers else "set aside",
             discrepancy=options.discrepancy,
+            prior=prior,
+            loosen=loosen,
+            standing=standing,
             loss={"huber": huber(), "tukey": tukey()}.get(options.loss),
             backend=options.backend,
             progress=progress,
         )
     return _told(calibration, source, box, options)
+
+
+def _since(options: argparse.Namespace) -> tuple[dict[str, float | None], list[str], CalibratedArm | None]:
+    """What may have changed since an earlier result, what has not, and that result; None where there is none."""
+    from casacal.compensation.result_file import read_result
+
+    given = names_of("--loosen", options.loosen)
+    stds: dict[str, float | None] = dict.fromkeys(name for name in given if "=" not in name)
+    stds |= numbers_of("--loosen", [name for name in given if "=" in name], "NAME=STD", "mm or rad, such as theta=2e-5")
+    standing = names_of("--standing", options.standing)
+    if options.prior_from is None:
+        if stds or standing:
+            fix = "Name the earlier result: --prior-from RESULT"
+            raise CasacalError("Got --loosen or --standing without --prior-from", fix)
+        return stds, standing, None
+    if options.prior or options.accuracy is not None:
+        what = "Got --prior or --accuracy, which say how good the drawing is, with --prior-from"
+        raise CasacalError(what, "Say with --loosen NAME=STD what may have changed since the earlier result")
+    return stds, standing, read_result(options.prior_from)
 
 
 def _told(calibration: Calibration, source: ProblemFile, box: Box | None, options: argparse.Namespace) -> int:

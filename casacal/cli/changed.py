@@ -11,7 +11,6 @@ from casacal.cli.common import (
     JSON,
     add,
     add_fresh_rows,
-    check_folder,
     fresh_rows,
     made_from,
     names_of,
@@ -20,7 +19,6 @@ from casacal.cli.common import (
     whole_number,
 )
 from casacal.cli.terminal import say_json, say_paragraphs
-from casacal.errors import CasacalError
 
 HELP = "tell whether the robot has changed since, what, and by how much"
 
@@ -37,7 +35,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_fresh_rows(parser, "faces that have not been moved since the calibration")
     add(parser, "--alarm RATE", "rate of false alarms, 0.001 to 0.5; default: 0.01", kind=float, default=0.01)
     add(parser, "--drift NAME=STD ...", "allowed drift since, a standard deviation in mm or rad, such as theta=2e-5")
-    add(parser, "--update DIR", "write an updated result from the old one and these rows")
     add(parser, "--touches FILE", f"write {TOUCHES} touches that would settle the cause, where needed")
     add(parser, "--seed K", "seed of random numbers; default: 0", kind=whole_number, default=0)
     add(parser, *JSON)
@@ -45,39 +42,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Look as the options say; returns 0, or 1 when something changed or cannot be told."""
+    from casacal.calibration.opened import opened
     from casacal.changes.changed import looked
     from casacal.changes.explain import write_touches
-    from casacal.changes.update import after
-    from casacal.verification.opened import opened
 
     result, other, named, rows = fresh_rows(options)
     outs = [] if options.touches is None else [options.touches]
-    if options.update is not None:
-        check_folder("--update", options.update)
-        outs.append(Path(options.update) / "result.json")
     spare(outs, options.samples, options.readings, result.file, *made_from(result))
     standing = names_of("--standing", options.standing)
     given = opened(result, rows, problem=other, instrument=named, standing=standing)
     drift = numbers_of("--drift", options.drift, "NAME=STD", "mm or rad, such as theta=2e-5")
     touches = 0 if options.touches is None else TOUCHES
-    found, look = looked(given, standing, drift, alarm=options.alarm, touches=touches, seed=options.seed)
-    written, refused = list[str](), ""
-    if options.update is not None:
-        try:
-            after(given, found, look, Path(options.update))
-            written.append((Path(options.update) / "result.json").as_posix())
-        except CasacalError as error:
-            if found.changed is not None:
-                raise
-            refused = str(error)
+    found, _ = looked(given, standing, drift, alarm=options.alarm, touches=touches, seed=options.seed)
+    written = list[str]()
     if options.touches is not None and found.touches is not None:
         write_touches(options.touches, found, given.source.problem.layout(), given.source.name)
         written.append(Path(options.touches).as_posix())
     if options.json:
-        say_json({**found.to_dict(), "written": written, "refused": refused})
+        say_json({**found.to_dict(), "written": written})
     else:
         say_paragraphs(*found.summary().split("\n"))
-        say_paragraphs(*filter(None, [refused]), *(f"Written: {place}" for place in written))
+        say_paragraphs(*(f"Written: {place}" for place in written))
         if options.touches is not None and found.touches is None:
             say_paragraphs(f"{options.touches} was not written: no touches are needed, or no useful ones are in reach.")
     return DONE if found.changed is False else FAILED

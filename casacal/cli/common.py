@@ -108,10 +108,10 @@ def add_fresh_rows(parser: argparse.ArgumentParser, standing: str) -> None:
 
 def fresh_rows(options: argparse.Namespace) -> tuple[CalibratedArm, ProblemFile | None, str | None, Samples]:
     """The result that `add_fresh_rows` names, a problem of another instrument, which instrument it is, and its rows."""
+    from casacal.calibration.opened import measured_by
     from casacal.compensation.result_file import read_result
     from casacal.compensation.seen_by import seen_by
     from casacal.problem.problem_file import load_problem
-    from casacal.verification.opened import measured_by
 
     if not options.samples.strip():
         raise CasacalError("SAMPLES is empty", "Name a file of fresh rows")

@@ -8,9 +8,9 @@ import numpy as np
 
 from casacal.estimators.lm import lm
 from casacal.estimators.nominal import nothing_unknown
+from casacal.least_squares.conditioned import Conditioned
 from casacal.least_squares.linalg import svd
 from casacal.least_squares.objective import LeastSquares
-from casacal.least_squares.restricted import Restricted
 from casacal.least_squares.result import Result
 
 UNMOVED = 1.01
@@ -27,7 +27,7 @@ def plane_only(problem: LeastSquares, *, max_steps: int = 100, tolerance: float 
     What a calibration must beat: it shows how much of a residual a better plane alone removes. The covariance of
     the held unknowns is their prior's. Arguments as for `lm`.
     """
-    part = Restricted(problem, problem.datum, problem.x0)
+    part = Conditioned(problem, problem.datum, problem.x0)
     fitted = lm(part, max_steps=max_steps, tolerance=tolerance)
     x, fitted_alone = part.expand(fitted.x), problem.datum.astype(np.float64)
     information = problem.normal(x).information * np.outer(fitted_alone, fitted_alone)

@@ -51,7 +51,7 @@ def ekf(problem: LeastSquares, *, progress: Callable[[int, float], None] | None 
     if not problem.unknowns:
         return nothing_unknown(problem, "ekf")
     scale = problem.start_std
-    mean, covariance = np.zeros(problem.unknowns), np.eye(problem.unknowns)
+    mean, covariance = np.zeros(problem.unknowns), problem.prior_root @ problem.prior_root.T
     done = problem.extended_pass(mean, covariance)
     if done is None:
         done = _row_by_row(problem, mean, covariance, progress)

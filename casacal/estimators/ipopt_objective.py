@@ -96,7 +96,7 @@ class Objective:
     def _evaluate(self, v: Array) -> tuple[float, Array, Array]:
         self.evaluations += 1
         value, gradient, found = np.empty(1), np.empty(v.size), np.empty(self._prior.size)
-        self._graph.prior((v, self._problem.prior_information, self._problem.x0), (value, gradient, found))
+        self._graph.prior((v,), (value, gradient, found))
         cost, entries = float(value[0]), np.zeros(self.rows.size)
         entries[self._prior] = found
         for block, corner, places in self._blocks:

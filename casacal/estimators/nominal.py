@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result, Status
 
@@ -16,7 +14,7 @@ def nominal(problem: LeastSquares) -> Result:
         method="nominal",
         problem=problem,
         x=problem.x0.copy(),
-        belief=np.diag(problem.prior_std**2),
+        belief=problem.prior_covariance,
         status=Status.NOMINAL,
         trace={},
         steps=0,

@@ -56,7 +56,7 @@ class Search:
         """Exact gradient (n,) of the objective at one point (n,) of the box."""
         state = self.problem.x0 + self.scale * point
         self.gradients += 1
-        pull = self.problem.prior_information * (state - self.problem.x0)
+        pull = self.problem.prior_information @ (state - self.problem.x0)
         return np.asarray(self.scale * (self.problem.normal(state, self.loss).gradient + pull))
 
     def result(self, method: str, steps: int) -> Result:

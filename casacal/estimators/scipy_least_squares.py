@@ -20,11 +20,11 @@ def scipy_least_squares(problem: LeastSquares, *, max_evaluations: int = 200) ->
         return nothing_unknown(problem, "trf")
     from scipy.optimize import least_squares  # a third of a second that other methods need not spend
 
-    scale, pull = problem.start_std, np.sqrt(problem.prior_information)
+    scale, pull = problem.start_std, problem.prior_rows * problem.start_std
     outcome = least_squares(
-        lambda y: np.concatenate([problem.residual(problem.x0 + scale * y), pull * scale * y]),
+        lambda y: np.concatenate([problem.residual(problem.x0 + scale * y), pull @ y]),
         np.zeros(problem.unknowns),
-        lambda y: np.vstack([problem.jacobian(problem.x0 + scale * y) * scale, np.diag(pull * scale)]),
+        lambda y: np.vstack([problem.jacobian(problem.x0 + scale * y) * scale, pull]),
         method="trf",
         xtol=TOLERANCE,
         ftol=TOLERANCE,

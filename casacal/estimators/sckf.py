@@ -78,7 +78,7 @@ def cubature_update(belief: Belief, h: Callable[[Array], Array], measured: float
 
 def begun(problem: LeastSquares) -> Belief:
     """The belief before any row, in units of `start_std` about x0."""
-    return Belief(np.zeros(problem.unknowns), np.eye(problem.unknowns))
+    return Belief(np.zeros(problem.unknowns), problem.prior_root)
 
 
 def take_in(problem: LeastSquares, belief: Belief, first: int, process_root: Array | None = None) -> FilterPass:

@@ -284,7 +284,7 @@ class PackedPieces:
 
 
 class NativeNormal:
-    """Sums over pieces of rows at one x, and damped steps about x0 in units of `scale` with a prior's information.
+    """Sums over pieces of rows at one x, and damped steps about x0 in units of `scale` under a prior's information.
 
     Threads may share the pieces; sums do not depend on how many.
     """
@@ -292,7 +292,7 @@ class NativeNormal:
     def __init__(self, packed: PackedPieces, x0: Array, scale: Array, prior: Array, threads: int) -> None:
         pieces = packed.pieces
         n, self._threads, self._count = x0.size, threads, len(pieces)
-        about = np.array([x0, scale, prior])
+        about = [np.array(each, order="C", copy=True) for each in (x0, scale, prior)]
         each = max(piece.size + rows_of_normal(piece.kernels.unknowns) ** 2 for piece in pieces)
         # numbers go in and come out through memory that stays, as finding an array's address takes as long as a step
         self._lock = threading.Lock()

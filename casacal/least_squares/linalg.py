@@ -105,16 +105,21 @@ def freed_of(rows: Array, others: Array) -> Array:
     return np.asarray(np.linalg.qr(rows - left @ (left.T @ rows), mode="r"))
 
 
-def with_diagonal(information: Array, scale: Array, diagonal: Array) -> Array:
-    """D A D + E (n, n) with diagonals D and E (n,)."""
-    found = scale[:, None] * information * scale
-    found.flat[:: scale.size + 1] += diagonal
-    return found
-
-
 def information_of(prior_std: Array) -> Array:
     """1 / s^2 of each unknown (n,), zero where the prior is flat."""
     return np.where(np.isfinite(prior_std), 1.0 / prior_std**2, 0.0)
+
+
+def whitening_of(covariance: Array) -> Array:
+    """W (n, n) with W C W' = I. A direction in which rounding left no variance keeps what rounding may have taken."""
+    scale = np.sqrt(np.diagonal(covariance))
+    scaled = covariance / np.outer(scale, scale)
+    root, failed = dpotrf(scaled, lower=1)
+    if not failed:
+        return np.asarray(inverse_triangle(root) / scale)
+    values, vectors = np.linalg.eigh(scaled)
+    values = np.maximum(values, ROUNDING * len(values))
+    return np.asarray((vectors / np.sqrt(values)).T / scale)
 
 
 def unit_scale(diagonal: Array) -> Array:
@@ -132,16 +137,16 @@ def column_scales(diagonal: Array, prior_std: Array) -> Array:
     return np.where(np.isfinite(prior_std), prior_std, by_data)
 
 
-def posterior_covariance(data_information: Array, prior_std: Array) -> Array:
-    """Covariance (J'J + Lambda)^-1 (n, n), with J'J of the data and Lambda of the priors, infinite where flat.
+def posterior_covariance(data_information: Array, prior: Array) -> Array:
+    """Covariance (J'J + Lambda)^-1 (n, n), with J'J of the data and Lambda of the prior, both (n, n).
 
     Unknowns that neither data nor prior hold get an infinite variance.
     """
-    if not len(prior_std):
+    if not len(prior):
         return np.zeros((0, 0))
     if not np.isfinite(data_information).all():
-        return np.diag(np.full(len(prior_std), np.inf))
-    information = data_information + np.diag(information_of(prior_std))
+        return np.diag(np.full(len(prior), np.inf))
+    information = data_information + prior
     # unit diagonal: nearly the best conditioning that scaling alone can give (van der Sluis 1969)
     scale = unit_scale(np.diagonal(information))
     scaled = scale[:, None] * information * scale
@@ -160,18 +165,17 @@ def posterior_covariance(data_information: Array, prior_std: Array) -> Array:
     return np.asarray(covariance)
 
 
-def determined(data_information: Array, prior_std: Array) -> float:
-    """How many unknowns the data determined: the trace of J (J'J + Lambda)^-1 J', to a few where priors are flat.
+def determined(data_information: Array, prior_rows: Array) -> float:
+    """How many unknowns the data determined: the trace of J (J'J + W'W)^-1 J', to a few where priors are flat.
 
-    It is the rank of J'J + Lambda less what the prior holds, sum_j (posterior variance / prior variance): no flat
-    unknown enters the sum.
+    It is the rank of J'J + W'W less what the rows W (k, n) of the prior hold, each of them at most one.
     """
-    information = with_diagonal(data_information, np.ones(len(prior_std)), information_of(prior_std))
+    information = data_information + prior_rows.T @ prior_rows
     scale = unit_scale(np.diagonal(information))
     values, vectors = np.linalg.eigh(scale[:, None] * information * scale)
-    held, firm = values > ROUNDING * len(values), np.isfinite(prior_std)
-    variances = scale**2 * (vectors[:, held] ** 2 / values[held]).sum(axis=1)
-    return float(held.sum() - np.clip(variances[firm] / prior_std[firm] ** 2, 0.0, 1.0).sum())
+    held = values > ROUNDING * len(values)
+    seen = (prior_rows * scale) @ vectors[:, held]
+    return float(held.sum() - np.clip((seen**2 / values[held]).sum(axis=1), 0.0, 1.0).sum())
 
 
 def inverse_triangle(root: Array) -> Array:

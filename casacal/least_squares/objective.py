@@ -2,10 +2,11 @@
 
 Every estimator minimises, or filters towards the minimum of, the negative log posterior
 
-    f(x) = 1/2 sum_k r_k(x)^2 + 1/2 sum_j ((x_j - x0_j) / s_j)^2,        r_k = e_k / w_k,
+    f(x) = 1/2 sum_k r_k(x)^2 + 1/2 |W (x - x0)|^2,        r_k = e_k / w_k,
 
-with e_k the residual of row k, w_k its standard deviation and s_j the prior standard deviation of unknown j
-(infinite: flat). Whitened means divided by w_k. With a loss, rho(r_k) stands in place of r_k^2 / 2.
+with e_k the residual of row k and w_k its standard deviation; whitened means divided by w_k. W are the rows of the
+prior: 1 / s_j for an unknown of standard deviation s_j (none where that is infinite: flat), or the inverse root of the
+covariance of unknowns that are known together. With a loss, rho(r_k) stands in place of r_k^2 / 2.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from casacal.array_types import Array, Index, Rows
-from casacal.least_squares.linalg import damped_solution, information_of, revealed_solution, with_diagonal
+from casacal.least_squares.gaussian import Gaussian, prior_rows
+from casacal.least_squares.linalg import damped_solution, revealed_solution
 from casacal.least_squares.losses import Loss
 
 
@@ -85,10 +87,15 @@ class LeastSquares(ABC):
     names: tuple[str, ...]
     units: tuple[str, ...]
     x0: Array
+    """Mean of the prior (n,), and where estimates start."""
     prior_std: Array
+    """Standard deviation of each unknown (n,) whatever the others are; infinite where the prior is flat."""
     start_std: Array
+    """The same (n,), or a good scale where the prior is flat."""
     datum: Rows
     """Unknowns that only say where the touched or watching thing stands (n,); the control M0 fits these alone."""
+    known: Gaussian | None = None
+    """Unknowns that are known together; `x0` and `prior_std` say the part of each alone."""
     graph: Any = None
     symbolic: Any = None
 
@@ -166,8 +173,8 @@ class LeastSquares(ABC):
         None when that matrix is not safely positive definite. `normal` is the data's part of H and g at x.
         """
         scale = self.start_std
-        information = with_diagonal(normal.information, scale, scale**2 * self.prior_information)
-        gradient = scale * (normal.gradient + self.prior_information * (x - self.x0))
+        information = scale[:, None] * (normal.information + self.prior_information) * scale
+        gradient = scale * (normal.gradient + self.prior_information @ (x - self.x0))
         step = damped_solution(information, gradient, damping)
         if step is None:
             return None
@@ -177,9 +184,9 @@ class LeastSquares(ABC):
 
     def revealing_step(self, x: Array, normal: Normal, damping: float, loss: Loss | None = None) -> DampedStep | None:
         """The same step from singular values, where normal equations are not safe; None where not all is finite."""
-        scale, prior = self.start_std, self.prior_information
-        gradient = scale * (normal.gradient + prior * (x - self.x0))
-        stacked = np.vstack([self.weighted_rows(x, loss), np.diag(np.sqrt(prior))]) * scale
+        scale = self.start_std
+        gradient = scale * (normal.gradient + self.prior_information @ (x - self.x0))
+        stacked = np.vstack([self.weighted_rows(x, loss), self.prior_rows]) * scale
         found = revealed_solution(stacked, gradient, damping)
         return None if found is None else DampedStep(x + scale * found[0], found[1], found[2])
 
@@ -193,14 +200,37 @@ class LeastSquares(ABC):
         return len(self.names)
 
     @cached_property
+    def prior_rows(self) -> Array:
+        """W (k, n): the prior as whitened rows."""
+        return prior_rows(self.names, self.prior_std, self.known)
+
+    @cached_property
     def prior_information(self) -> Array:
-        """Lambda: 1 / s^2 of each unknown (n,), zero where the prior is flat."""
-        return information_of(self.prior_std)
+        """Lambda = W'W (n, n), zero along what is flat."""
+        return np.asarray(self.prior_rows.T @ self.prior_rows)
+
+    @property
+    def prior_covariance(self) -> Array:
+        """Covariance of the prior (n, n), with infinite variances where it is flat."""
+        found = np.diag(self.prior_std**2)
+        if self.known is not None:
+            places = {name: j for j, name in enumerate(self.names)}
+            index = [places[name] for name in self.known.names]
+            found[np.ix_(index, index)] = self.known.covariance
+        return found
+
+    @cached_property
+    def prior_root(self) -> Array:
+        """Lower triangular root (n, n) of the prior's covariance in units of `start_std`, with which filters begin."""
+        if self.known is None:
+            return np.eye(self.unknowns)
+        scaled = self.prior_covariance / np.outer(self.start_std, self.start_std)
+        return np.linalg.cholesky(np.where(np.isfinite(scaled), scaled, np.eye(self.unknowns)))
 
     def prior_cost(self, x: Array) -> float:
         """The prior's part of the objective at x (n,)."""
-        away = x - self.x0
-        return float((self.prior_information * away) @ away) / 2
+        away = self.prior_rows @ (x - self.x0)
+        return float(away @ away) / 2
 
     def cost(self, x: Array, loss: Loss | None = None) -> float:
         """The objective f at x (n,), with a loss where one is given."""

@@ -85,7 +85,7 @@ class Result(Value):
         told = self.problem.normal(self.x, self.loss).information if self.information is None else self.information
         if self.loss is not None:  # what its weights, and rows that they hold down, leave
             told = worth_under(self.loss, self.problem.residual(self.x)) * told
-        return posterior_covariance(told, self.problem.prior_std)
+        return posterior_covariance(told, self.problem.prior_information)
 
     @cached_property
     def cost(self) -> float:
@@ -133,7 +133,7 @@ class Result(Value):
     def kkt(self) -> float:
         """Largest component of the objective's gradient at x, in prior-scaled (flat: column-scaled) coordinates."""
         normal = self.problem.normal(self.x, self.loss)
-        gradient = normal.gradient + self.problem.prior_information * (self.x - self.problem.x0)
+        gradient = normal.gradient + self.problem.prior_information @ (self.x - self.problem.x0)
         scales = column_scales(np.diagonal(normal.information), self.problem.prior_std)
         return float(np.abs(scales * gradient).max(initial=0.0))
 

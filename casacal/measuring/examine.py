@@ -9,15 +9,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from operator import is_
 
 import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError
-from casacal.measuring.known import Known, Places, known_before, known_from, telling
-from casacal.measuring.linear import LinearRows, ShiftedBelief, innovations_at, length, log_density, square
+from casacal.measuring.known import Known, Places, known_before, known_from, places_of, telling
+from casacal.measuring.linear import POOL, LinearRows, ShiftedBelief, innovations_at, length, log_density, square
 from casacal.measuring.touch import Slip, Touch, rows_of
+from casacal.planning.choice import Clearance, pool_of
 from casacal.planning.route import CHECK
+from casacal.problem.cell import Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.uncertainty.fresh_rows import chance
@@ -173,19 +177,43 @@ class SessionState(Value):
     off: Array | None = None
     std: Array | None = None
     waiting: tuple[int, ...] = ()
+    setting: SessionSetting | None = None
+    """What does not change from touch to touch; None before any."""
 
 
 @dataclass(frozen=True, eq=False)
 class SessionSetting(Value):
-    """What does not change from touch to touch: the problem, planned rows, and where faces are planned."""
+    """What does not change from touch to touch: the problem, planned rows, where faces are planned, further touches."""
 
     problem: Problem
     planned: Samples | None
     places: Places
+    cell: Disturbances | None = None
+    clearance: Clearance | None = None
+
+    @staticmethod
+    def of(
+        problem: Problem, plan: Samples | None, cell: Disturbances | None, clearance: Clearance | None
+    ) -> SessionSetting:
+        """Of a plan's rows, or of none."""
+        told = [] if plan is None else telling(problem, plan, {})
+        if plan is None or not told:  # faces that are planned too seldom have no place
+            return SessionSetting(problem, None, {}, cell, clearance)
+        placed = plan.take(told)
+        return SessionSetting(problem, placed, places_of(problem, placed), cell, clearance)
+
+    @cached_property
+    def further(self) -> Samples:
+        """Touches beyond the plan, among which the next one is looked for."""
+        return pool_of(self.problem, self.cell, POOL, 7, self.clearance)
 
     def known_by(self, touches: Sequence[Touch], before: Known | None) -> Known | None:
         """What touches that are all usable tell; `before`: what was known a touch ago."""
-        return known_from(self.problem, touches, self.places, self.planned, before) if touches else None
+        if not touches:
+            return None
+        if before is not None and len(touches) == len(before.touches) and all(map(is_, touches, before.touches)):
+            return before
+        return known_from(self.problem, touches, self.places, self.planned, before)
 
     def usable(self, touches: Sequence[Touch]) -> list[int]:
         """Which touches tell something: those of faces that are planned or were touched often enough."""
@@ -200,7 +228,7 @@ class SessionSetting(Value):
         waiting, last = tuple(k for k in fit if k not in set(used)), len(touches) - 1
         known = self.known_by([touches[k] for k in used], before)
         if known is None:
-            return SessionState(waiting=waiting)
+            return SessionState(waiting=waiting, setting=self)
         if new and touches[last].purpose == CHECK:
             others: Known | None = known
             alarm = judged_alone(known, touches[last], slips, last)
@@ -211,7 +239,7 @@ class SessionSetting(Value):
         if alarm is not None and alarm.touch in used:
             rest = [touches[k] for k in used if k != alarm.touch]
             known = self.known_by([rest[k] for k in self.usable(rest)], before)  # a face may be short of a touch now
-        return SessionState(known, alarm, off, std, waiting)
+        return SessionState(known, alarm, off, std, waiting, self)
 
     def _others(self, used: Sequence[Touch], before: Known | None) -> Known | None:
         """What all touches but the last tell of its face too; None where they tell nothing of it."""

@@ -1,4 +1,4 @@
-"""What touches have told so far: the cubature filter's belief after each, and how they scatter."""
+"""What touches have told so far: one fit of all of them, and how they scatter."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.noise_scale import OTHERS
 from casacal.binding.slots import Slot, instances, make_slots
 from casacal.errors import ProblemError
-from casacal.estimators.sckf import Belief, begun, take_in
+from casacal.estimators import lm
+from casacal.estimators.sckf import Belief, begun
+from casacal.least_squares.gaussian import Gaussian
+from casacal.least_squares.linalg import svd
 from casacal.measuring.touch import Touch, rows_of
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples, joined
@@ -26,8 +28,7 @@ Places = Mapping[str, Array]
 
 FACTORS = tuple(1.25**k for k in range(1, 18))  # noise over what was stated, among which the likeliest is looked for
 TELLING = 4.5  # logarithm of likelihoods from which on stated noise is given up: e^4.5, 90 to one
-NEAR, MOVES = 0.5, 5  # part of what a filter starts with by which a face may be elsewhere; times that it is moved
-STEPS = 6  # Gauss-Newton steps at most; three are the rule
+NEAR, MOVES = 0.5, 5  # part of what it begins with by which a face may be elsewhere; times that it is moved
 FEWEST = 12  # touches from which on their scatter is looked at
 
 
@@ -35,10 +36,11 @@ FEWEST = 12  # touches from which on their scatter is looked at
 class Known(Value):
     """What some touches tell.
 
-    bound: to their rows. belief: after the last, in units of `start_std` about x0. factor: noise over what was stated,
+    touches: these. bound: to their rows. belief: in units of `start_std` about x0. factor: noise over what was stated,
     one or more. proposed: names of what stands where touches say, not a plan.
     """
 
+    touches: tuple[Touch, ...]
     bound: BoundProblem
     belief: Belief
     factor: float = 1.0
@@ -89,13 +91,12 @@ def _stands(problem: Problem, samples: Samples, places: Places) -> bool:
 def known_from(
     problem: Problem, touches: Sequence[Touch], places: Places, planned: Samples | None, before: Known | None = None
 ) -> Known:
-    """Let a filter take in touches that are all usable, in their order, from the prior on.
+    """Fit touches that are all usable, with the prior and, where it is flat, what a filter would start with.
 
     Faces begin where they are planned, or else where their own touches say, and where they are found to stand
-    elsewhere, there: what a filter starts from is no knowledge of where they are.
-    What is planned has its unknowns from the beginning on, so that they stay the same. `before` is what was known a
-    touch ago, whose binding serves again. Raises ProblemError where nothing says where a
-    face stands.
+    elsewhere, there: what they begin with is no knowledge of where they are. What is planned has its unknowns from the
+    beginning on, so that they stay the same. `before` is what was known a touch ago, whose binding serves again. Raises
+    ProblemError where nothing says where a face stands.
     """
     samples = rows_of(touches)
     proposed = frozenset(name for name, enough in counts(problem, samples).items() if enough and name not in places)
@@ -103,61 +104,53 @@ def known_from(
         bound = before.bound.with_noise().on(samples)
     else:
         bound = _bound(problem, samples, places, planned, proposed)
-    belief, likelihood = _filtered(bound)
+    belief = _fitted(bound)
     for _ in range(MOVES):
-        # some face is believed further from where it began than a filter starts with
+        # some face is believed further from where it began than it begins with
         if not (np.abs(belief.mean) > NEAR)[bound.datum].any():
             break
         bound = _moved(bound, belief)
-        belief, likelihood = _filtered(bound)
-    if len(touches) >= FEWEST:
-        noisier = [(factor, bound.with_noise({OTHERS: factor})) for factor in FACTORS]
-        filtered = [_filtered(each) for _, each in noisier]
-        best = max(range(len(FACTORS)), key=lambda k: filtered[k][1])
-        if filtered[best][1] >= likelihood + TELLING:
-            return Known(noisier[best][1], filtered[best][0], noisier[best][0], proposed)
-    return Known(bound, belief, 1.0, proposed)
+        belief = _fitted(bound)
+    factor = _noise_over_stated(bound, belief) if len(touches) >= FEWEST else 1.0
+    if factor > 1.0:
+        bound = bound.with_noise({OTHERS: factor})
+        belief = _fitted(bound)
+    return Known(tuple(touches), bound, belief, factor, proposed)
 
 
 def known_before(problem: Problem, rows: Samples, places: Places, planned: Samples | None = None) -> Known:
     """What is known before any touch, bound to some rows of faces that are planned."""
     bound = _bound(problem, rows, places, planned, frozenset())
-    return Known(bound, begun(bound))
+    return Known((), bound, begun(bound))
 
 
-def _filtered(bound: BoundProblem) -> tuple[Belief, float]:
-    """The belief after all rows, and the logarithm of their likelihood, less a constant.
+def _fitted(bound: BoundProblem) -> Belief:
+    """The posterior of all rows about its peak."""
+    found, scale = lm(bound), bound.start_std
+    root = np.asarray(np.linalg.cholesky(found.covariance / np.outer(scale, scale)), dtype=np.float64)
+    return Belief((found.x - bound.x0) / scale, root)
 
-    By innovations (Schweppe, IEEE Trans. Inf. Theory 11, 1965).
+
+def _noise_over_stated(bound: BoundProblem, belief: Belief) -> float:
+    """The factor of the stated noise at which the rows are likeliest; one where that is no telling difference.
+
+    The marginal likelihood of rows linear about the belief, r + J y with y ~ N(-mean, I): with J = U S V' each factor
+    costs a few numbers.
     """
-    belief, k, told = begun(bound), 0, list[tuple[Array, Array]]()
-    while k < bound.rows:
-        taken = take_in(bound, belief, k)
-        belief, k = Belief(taken.mean, taken.root), taken.stop
-        told.append((taken.innovations, taken.stds))
-    innovations, stds = (np.concatenate(each) for each in zip(*told, strict=True))
-    unlikely = (innovations / stds) ** 2 / 2 + np.log(stds * bound.block.noise.ravel())
-    return _settled(bound, belief), -float(unlikely.sum())
+    x = bound.x0 + bound.start_std * belief.mean
+    r, slopes = bound.residual(x), bound.jacobian(x) * bound.start_std
+    _, sizes, right = svd(slopes, full=True)
+    squares = np.zeros(belief.mean.size)
+    squares[: sizes.size] = sizes**2
+    pull, prior = right @ slopes.T @ r, right @ belief.mean
 
+    def likelihood(factor: float) -> float:
+        told, toward = 1 + squares / factor**2, pull / factor**2 + prior
+        left = float(r @ r) / factor**2 + float(prior @ prior) - float(toward @ (toward / told))
+        return -(left + float(np.log(told).sum())) / 2 - len(r) * math.log(factor)
 
-def _settled(bound: BoundProblem, belief: Belief) -> Belief:
-    """The belief about the peak of the posterior, where one pass leaves it some tenths of a standard deviation short.
-
-    Gauss-Newton steps from the filter's mean, as the paper's M7 goes from M5 to M6, with the same unit prior.
-    """
-    mean, cost, lower = belief.mean, math.inf, None
-    for _ in range(STEPS):
-        x = bound.x0 + bound.start_std * mean
-        r, j = bound.residual(x), bound.jacobian(x) * bound.start_std
-        if (now := float(r @ r + mean @ mean)) >= cost * (1 - 1e-9):
-            break
-        settled, cost = mean, now
-        lower = np.linalg.cholesky(np.eye(mean.size) + j.T @ j)
-        mean = mean - solve_triangular(lower.T, solve_triangular(lower, j.T @ r + mean, lower=True))
-    if lower is None:
-        return belief
-    half = solve_triangular(lower, np.eye(mean.size), lower=True)
-    return Belief(settled, np.linalg.cholesky(half.T @ half))
+    best = max(FACTORS, key=likelihood)
+    return best if likelihood(best) >= likelihood(1.0) + TELLING else 1.0
 
 
 def _moved(bound: BoundProblem, belief: Belief) -> BoundProblem:
@@ -169,7 +162,7 @@ def _moved(bound: BoundProblem, belief: Belief) -> BoundProblem:
             _, plane = slot.unknown.shown(slot.nominal, x[slot.columns])
             slot = replace(slot, nominal=read_only(slot.unknown.placed(plane["point_mm"], plane["normal"])))
         slots.append(slot)
-    return BoundProblem(bound.problem, slots, bound.samples)
+    return _with_starts(BoundProblem(bound.problem, slots, bound.samples))
 
 
 def _bound(
@@ -181,7 +174,14 @@ def _bound(
         slots = make_slots(problem, (samples,), places)
     if planned is not None:
         slots = make_slots(problem, (joined(samples, planned),), {**places, **_proposed(slots)})
-    return BoundProblem(problem, slots, (samples,))
+    return _with_starts(BoundProblem(problem, slots, (samples,)))
+
+
+def _with_starts(bound: BoundProblem) -> BoundProblem:
+    """The same where a flat prior is as wide as filters start it: few touches leave no direction without an end."""
+    flat = np.flatnonzero(~np.isfinite(bound.prior_std))
+    names = tuple(bound.names[j] for j in flat)
+    return bound.with_known(Gaussian(names, bound.x0[flat], np.diag(bound.start_std[flat] ** 2)))
 
 
 def counts(problem: Problem, samples: Samples) -> dict[str, bool]:

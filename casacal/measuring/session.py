@@ -10,21 +10,20 @@ from casacal.array_types import Array
 from casacal.errors import CasacalError, came, refuse_unknown
 from casacal.estimators.sckf import Belief
 from casacal.measuring.examine import Alarm, SessionSetting, SessionState, Suspected, refuse_along
-from casacal.measuring.known import Known, counts, known_before, places_of, telling
-from casacal.measuring.linear import POOL, Pool, chance_of, error_below, expected_error, innovations_at, spectrum
+from casacal.measuring.known import Known, counts, known_before
+from casacal.measuring.linear import Pool, chance_of, error_below, expected_error, innovations_at, spectrum
 from casacal.measuring.touch import Slip, Touch, columns_of, joints_of, labels_of, rows_of, slips_of
-from casacal.planning.choice import Clearance, pool_of, refuse_several, wanted_field, wanted_joints
+from casacal.planning.choice import Clearance, refuse_several, wanted_field, wanted_joints
 from casacal.planning.route import CHECK, FIT, Route
 from casacal.problem.cell import Disturbances
 from casacal.problem.problem import Problem
-from casacal.samples.samples import Samples
 from casacal.uncertainty.expectation import Box
 from casacal.values import Value, is_real
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Session(Value):
-    """Touches of one instrument, taken in one by one by a square-root cubature Kalman filter.
+    """Touches of one instrument, taken in one by one: after each, one fit of all of them.
 
     Args:
         problem: a robot with one instrument, taken without effects; its priors are trusted, its noise until the touches
@@ -276,10 +275,7 @@ class Session(Value):
     def _after(self, touches: tuple[Touch, ...], *, new: bool = False) -> Session:
         """The session with these touches; `new` says that the last one has just come."""
         state = self._setting.state(touches, lambda k: self._slips(touches, k), self.state.known, new=new)
-        after = replace(self, touches=touches, state=state)
-        same = ("_setting", "_all_planned", "_could", *(("field",) if after.names == self.names else ()))
-        after.__dict__.update({name: self.__dict__[name] for name in same if name in self.__dict__})
-        return after
+        return replace(self, touches=touches, state=state)
 
     def _with(self, k: int, touch: Touch) -> tuple[Touch, ...]:
         return (*self.touches[:k], touch, *self.touches[k + 1 :])
@@ -297,21 +293,14 @@ class Session(Value):
     @cached_property
     def _pool(self) -> Pool:
         assert self.state.known is not None
-        return Pool.of(self.state.known, self._could)
-
-    @cached_property
-    def _could(self) -> Samples:
-        return pool_of(self.problem, self.cell, POOL, 7, self.clearance)
+        return Pool.of(self.state.known, self._setting.further)
 
     @cached_property
     def _setting(self) -> SessionSetting:
-        if self.plan is None:
-            return SessionSetting(self.problem, None, {})
-        told = telling(self.problem, self.plan.samples, {})
-        if not told:  # faces that are planned too seldom have no place
-            return SessionSetting(self.problem, None, {})
-        placed = self.plan.samples.take(told)
-        return SessionSetting(self.problem, placed, places_of(self.problem, placed))
+        if self.state.setting is not None:
+            return self.state.setting
+        planned = None if self.plan is None else self.plan.samples
+        return SessionSetting.of(self.problem, planned, self.cell, self.clearance)
 
     @cached_property
     def _all_planned(self) -> tuple[Touch, ...]:

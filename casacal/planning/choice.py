@@ -311,7 +311,7 @@ class Choice:
         """
         x, units = bound.x0 if at is None else at, bound.start_std
         rows, field = row_slopes(bound, x), wanted_field(bound, x, joints)
-        known = np.diag(np.maximum(bound.prior_information * units**2, UNKNOWN))
+        known = bound.prior_information * np.outer(units, units) + UNKNOWN * np.eye(units.size)
         if count is not None and count < len(rows):
             made = rows[count:].reshape(-1, bound.unknowns)
             known, rows = known + made.T @ made, rows[:count]
@@ -330,7 +330,7 @@ class Choice:
         field: slopes (3M, s) of a tip that is wanted at M postures, by the first unknowns; the others move none.
         """
         units = extra.start_std
-        held = known + np.diag(extra.prior_information)
+        held = known + extra.prior_information
         held = held * np.outer(units, units)
         held += max(UNKNOWN, ROUNDING * float(np.trace(held))) * np.eye(units.size)
         slopes = field.reshape(-1, field.shape[-1]) * units[: field.shape[-1]]

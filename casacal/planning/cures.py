@@ -15,8 +15,8 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.marginal import Seen, seen
 from casacal.binding.noise_scale import OTHERS, by_face, times
+from casacal.binding.seen import Seen, seen
 from casacal.binding.slots import Slot, make_slots
 from casacal.errors import CasacalError
 from casacal.least_squares.linalg import posterior_covariance
@@ -73,7 +73,7 @@ class CureOutcome:
     words: str
     touches: int
     information: Array
-    prior_std: Array
+    prior: Array
     rows: Samples | None = None
     problem: Problem | None = None
 
@@ -90,17 +90,17 @@ def cures(bound: BoundProblem, x: Array, *, stays: float = 0.0) -> tuple[Cure, .
     arm, at = seen(bound, x)
     told, field = arm.information(at), _field(arm, at)
 
-    def judged(information: Array, prior_std: Array) -> tuple[float, Array]:
-        covariance = posterior_covariance(information, prior_std)[: at.size, : at.size]  # what comes last moves no tip
+    def judged(information: Array, prior: Array) -> tuple[float, Array]:
+        covariance = posterior_covariance(information, prior)[: at.size, : at.size]  # what comes last moves no tip
         return math.sqrt(float((tip_stds(covariance, field) ** 2).sum(axis=1).mean()) + stays), covariance
 
     found: dict[str, tuple[float, Array, CureOutcome]] = {}
     for outcome in outcomes(bound, x):
         if np.isfinite(outcome.information).all():
-            error, covariance = judged(outcome.information, outcome.prior_std)
+            error, covariance = judged(outcome.information, outcome.prior)
             if outcome.kind not in found or error < found[outcome.kind][0]:  # of the same at several places, the best
                 found[outcome.kind] = error, covariance, outcome
-    now, _ = judged(told, arm.prior_std)
+    now, _ = judged(told, arm.prior_information)
     same = min(now, found["same"][0]) if "same" in found else now
     made = []
     for kind, (error, covariance, outcome) in found.items():
@@ -143,13 +143,13 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[CureOutcome]:
         touched = None
     if touched is not None and touched.tilt >= MOST_TILT:  # no such arm is understood
         touched = None
-    stds = np.sqrt(np.diagonal(posterior_covariance(told, arm.prior_std)))
+    stds = np.sqrt(np.diagonal(posterior_covariance(told, arm.prior_information)))
     tool = [j for j in tool_unknowns(arm, at) if arm.units[j] == "mm" and stds[j] > TOOL_STD]
     if tool:  # the samples know its point less well than other means
-        prior_std = arm.prior_std.copy()
-        prior_std[tool] = np.minimum(prior_std[tool], TOOL_STD)
+        prior = arm.prior_information.copy()
+        prior[tool, tool] = np.maximum(prior[tool, tool], 1 / TOOL_STD**2)
         words = f"measure {listed([arm.names[j] for j in tool])} to {TOOL_STD:g} mm by other means"
-        yield CureOutcome("tool", words, 0, told, prior_std)
+        yield CureOutcome("tool", words, 0, told, prior)
     if len(bound.samples) > 1:
         yield from _more_of_each(bound, x, told)
         return
@@ -158,7 +158,7 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[CureOutcome]:
         ways = (("same", "more samples of the same kind", 1), ("noise", "samples at half the noise", 4))
         for kind, how, weight in ways:
             more = weight * EXTRA_TOUCHES / len(bound.samples[0])
-            yield CureOutcome(kind, f"{EXTRA_TOUCHES} {how}", EXTRA_TOUCHES, (1 + more) * told, arm.prior_std)
+            yield CureOutcome(kind, f"{EXTRA_TOUCHES} {how}", EXTRA_TOUCHES, (1 + more) * told, arm.prior_information)
         return
     field = _field(arm, at)
     pools: dict[Cell | None, Samples | None] = {None: samples}
@@ -173,7 +173,9 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[CureOutcome]:
             best = Choice.on_top(extra, stand, before, field).best_of(offer.touches, 1, np.random.default_rng(0))
             after = before + extra.take(best).information(stand)
             kept = pool.take(best)
-            yield CureOutcome(offer.kind, offer.words, offer.touches, after, extra.prior_std, kept, offer.problem)
+            yield CureOutcome(
+                offer.kind, offer.words, offer.touches, after, extra.prior_information, kept, offer.problem
+            )
         except CasacalError:  # such as a plunger that would lie in the face
             continue
 
@@ -236,7 +238,7 @@ def _more_of_each(bound: BoundProblem, x: Array, told: Array) -> Iterator[CureOu
         more = EXTRA_TOUCHES / max(len(bound.samples[i]), 1)
         words = f"{EXTRA_TOUCHES} more samples of the {name}"
         information = told + more * (told - arm.information(at))
-        yield CureOutcome(f"same as {name}", words, EXTRA_TOUCHES, information, arm.prior_std)
+        yield CureOutcome(f"same as {name}", words, EXTRA_TOUCHES, information, arm.prior_information)
 
 
 def _spread(covariance: Array, along: Array) -> float:

@@ -14,7 +14,7 @@ from casacal.errors import SamplesError, SimulationError, came
 from casacal.estimators import lm
 from casacal.instruments.description import Probe, readings_within
 from casacal.instruments.instrument import Instrument
-from casacal.least_squares.restricted import Restricted
+from casacal.least_squares.conditioned import Conditioned
 from casacal.problem.cell import OF_DIALS, Cell, Disturbances, Face
 from casacal.problem.problem import Problem
 from casacal.robots.robot import inside_limits, random_joints
@@ -438,7 +438,7 @@ class Simulation(Value):
             else:
                 placed[slot.columns] = slot.datum or slot.unknown.nominal is None
         if placed.any():  # bodies and frames: where the true arm says they are
-            part = Restricted(bound, placed, x)
+            part = Conditioned(bound, placed, x)
             x = part.expand(lm(part).x)
         return x
 

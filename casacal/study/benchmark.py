@@ -22,7 +22,7 @@ import numpy as np
 
 from casacal.array_types import Array, Index
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.binding.marginal import bind_further, extended
+from casacal.binding.seen import bind_further, extended
 from casacal.errors import CasacalError, UnknownNameError, refuse_unknown
 from casacal.least_squares.result import Result, Status
 from casacal.problem.problem import Problem

@@ -76,7 +76,7 @@ class SimulatedTrial:
         problem = self.problem
         joints = workspace_joints(problem.problem.robot)
         true, slopes = problem.tips(self.truth, joints), problem.tip_jacobian(self.truth, joints)
-        return joints, true, bayesian_bound(problem.information(self.truth), problem.prior_std, slopes, true)
+        return joints, true, bayesian_bound(problem.information(self.truth), problem.prior_information, slopes, true)
 
     def _nees(self, result: Result) -> float:
         arm = ~self.problem.datum

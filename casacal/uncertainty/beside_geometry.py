@@ -108,10 +108,9 @@ def dial_errors(fit: BoundProblem, x: Array) -> tuple[DialError, ...]:
     if not fit.unknowns or not any(instrument.probe for instrument in fit.problem.instruments):
         return ()
     jacobian, residual, joints = fit.jacobian(x), fit.residual(x), workspace_joints(fit.problem.robot)
-    covariance = posterior_covariance(jacobian.T @ jacobian, fit.prior_std)
+    covariance = posterior_covariance(jacobian.T @ jacobian, fit.prior_information)
     covariance = np.where(np.isfinite(covariance), covariance, 0.0)
-    away = (x - fit.x0) * np.where(np.isfinite(fit.prior_std), 1 / fit.prior_std, 0.0)
-    square = float(residual @ residual + away @ away)
+    square = float(residual @ residual) + 2 * fit.prior_cost(x)
     free = len(residual) - int((~np.isfinite(fit.prior_std)).sum())
     tips, found = fit.tips(x, joints), []
     field = without_rigid(fit.tip_jacobian(x, joints), tips)

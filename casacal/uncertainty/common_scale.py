@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from casacal.array_types import Array
-from casacal.binding.marginal import Marginal, Seen
+from casacal.binding.seen import ArmAlone, Seen
 from casacal.uncertainty.prior_moves import DULL
 from casacal.uncertainty.workspace import scale_direction
 
@@ -77,4 +77,4 @@ def common_scale(bound: Seen, x: Array, covariance: Array) -> CommonScale | None
 
 def _growth(bound: Seen) -> Array:
     """Change of x (s,) when all lengths grow by a part of one."""
-    return scale_direction(bound.whole)[bound.free] if isinstance(bound, Marginal) else scale_direction(bound)
+    return scale_direction(bound.whole)[bound.free] if isinstance(bound, ArmAlone) else scale_direction(bound)

@@ -41,28 +41,27 @@ class NormalEquations:
 
 
 def told(problem: LeastSquares, x: Array) -> NormalEquations:
-    """All rows of a problem at x (n,), about which y = J x - r."""
-    normal = problem.normal(x)
+    """All rows of a problem at x (n,), about which y = J (x - x0) - r."""
+    normal, away = problem.normal(x), x - problem.x0
     information = normal.information
-    square = 2 * (normal.cost - float(x @ normal.gradient)) + float(x @ information @ x)
-    return NormalEquations(information, information @ x - normal.gradient, square)
+    square = 2 * (normal.cost - float(away @ normal.gradient)) + float(away @ information @ away)
+    return NormalEquations(information, information @ away - normal.gradient, square)
 
 
 def evidence(rows: NormalEquations, prior: Array) -> float:
-    """Logarithm of the marginal likelihood of rows under zero means and a prior's information (n,), but for a constant.
+    """Logarithm of the marginal likelihood of rows under means x0 and a prior's information (n, n), up to a constant.
 
     The constant depends on the rows alone. Unknowns without prior are projected out. -inf where rounding spoils it.
     """
-    posterior = rows.information.copy()
-    posterior.flat[:: len(prior) + 1] += prior
+    posterior = rows.information + prior
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(posterior), 1e-300))
     root, failed = dpotrf(scale[:, None] * posterior * scale, lower=1)
     if failed:
         return -np.inf
     at = scale * dpotrs(root, scale * rows.toward, lower=1)[0]
-    determinant = 2 * float(np.log(np.diagonal(root)).sum() - np.log(scale).sum()) - float(
-        np.log(prior[prior > 0]).sum()
-    )
+    firm = np.diagonal(prior) > 0
+    beforehand = float(np.linalg.slogdet(prior[np.ix_(firm, firm)])[1])
+    determinant = 2 * float(np.log(np.diagonal(root)).sum() - np.log(scale).sum()) - beforehand
     return -(rows.square - float(rows.toward @ at) + determinant) / 2
 
 
@@ -125,7 +124,7 @@ def effect_sizes(
     # the likelihood has several tops where something large errs
     if start is None and stated * (least or 1.0) < 1 / MORE:
         starts.append(np.append(np.where(most > math.log(LARGE), math.log(LARGE), 0.0), 0.0))
-    given = (seen or told(problem, x), problem.rows, problem.prior_information, groups, expected, spread)
+    given = (seen or told(problem, x), problem.rows, np.diagonal(problem.prior_information), groups, expected, spread)
     if search:
         found = [minimize(_objective, at, given, "L-BFGS-B", jac=True, bounds=bounds, options=STOP) for at in starts]
         cost, logs = min(((float(top.fun), top.x) for top in found), key=lambda top: top[0])

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.binding.marginal import Seen
+from casacal.binding.seen import Seen
 from casacal.errors import CasacalError
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.robots.robot import random_joints
@@ -58,10 +58,10 @@ def expected_accuracy(
     else:
         tips, slopes = bound.tips(x, joints), bound.tip_jacobian(x, joints, usual=usual)
     information = bound.information(x if off is None else x + off)
-    before = bayesian_bound(np.zeros_like(information), bound.prior_std, slopes, tips)
+    before = bayesian_bound(np.zeros_like(information), bound.prior_information, slopes, tips)
     if covariance is not None:
         return before, spread_rms(covariance, slopes, tips, off)
-    return before, bayesian_bound(information, bound.prior_std, slopes, tips, off)
+    return before, bayesian_bound(information, bound.prior_information, slopes, tips, off)
 
 
 def classical_accuracy(bound: Seen, x: Array) -> tuple[float, int]:
@@ -85,7 +85,7 @@ def accuracy_in_box(bound: Seen, x: Array, box: Box, off: Array | None = None) -
     field = up_to_base(
         bound.tip_jacobian(x, joints), bound.tips(x, joints), bound.tip_jacobian(x, frame), bound.tips(x, frame)
     )
-    covariance = posterior_covariance(bound.information(x if off is None else x + off), bound.prior_std)
+    covariance = posterior_covariance(bound.information(x if off is None else x + off), bound.prior_information)
     stds = np.linalg.norm(tip_stds(covariance, field, off), axis=1)
     return math.sqrt(float((stds**2).mean())), float(stds.max())
 

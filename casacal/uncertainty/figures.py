@@ -20,11 +20,11 @@ LARGE = 50_000  # rows among which it is no matter whether an unknown more or le
 def effective_unknowns(problem: LeastSquares, x: Array, loss: Loss | None = None) -> float:
     """How many unknowns the data determined at x (n,): the trace of the hat matrix, right under any mix of priors."""
     if problem.rows > LARGE:
-        return determined(problem.normal(x, loss).information, problem.prior_std)
+        return determined(problem.normal(x, loss).information, problem.prior_rows)
     rows = problem.weighted_rows(x, loss)
     if not np.isfinite(rows).all():
         return 0.0
-    return float(((rows @ _inverse_root(rows, problem.prior_information)) ** 2).sum())
+    return float(((rows @ _inverse_root(rows, problem.prior_rows)) ** 2).sum())
 
 
 def leverages(bound: BoundProblem, result: Result) -> Array:
@@ -33,7 +33,7 @@ def leverages(bound: BoundProblem, result: Result) -> Array:
     By an orthonormal basis of what the rows and the prior see, scaled column by column: right under flat priors too,
     where a covariance holds variances that no digit survives.
     """
-    held = _inverse_root(bound.weighted_rows(result.x, result.loss), bound.prior_information)
+    held = _inverse_root(bound.weighted_rows(result.x, result.loss), bound.prior_rows)
     count, found = len(bound.measured), []
     for rows in np.array_split(np.arange(count), 1 + count // TOGETHER):
         part = bound if rows.size == count else bound.take(rows)
@@ -42,8 +42,8 @@ def leverages(bound: BoundProblem, result: Result) -> Array:
 
 
 def _inverse_root(rows: Array, prior: Array) -> Array:
-    """A matrix T (n, r) with T T' = (A'A + Lambda)^+, by singular values of the rows A (k, n) themselves."""
-    stacked = np.vstack([rows, np.diag(np.sqrt(prior))])
+    """A matrix T (n, r) with T T' = (A'A + W'W)^+, by singular values of the rows A (k, n) and W of the prior."""
+    stacked = np.vstack([rows, prior])
     sizes = np.linalg.norm(stacked, axis=0)
     scale = 1.0 / np.where(sizes > 0, sizes, 1.0)
     _, values, right = svd(stacked * scale)

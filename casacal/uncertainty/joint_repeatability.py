@@ -109,12 +109,12 @@ def joints_err(bound: BoundProblem, x: Array, told: NormalEquations) -> bool:
     """Whether rows that see more of the joints may err more than others where a fit stands.
 
     A score test of the variance: squares of what is left, over what is expected of them, against g^2 / noise^2. bound:
-    with effects at their sizes, x0 zero. told: what its rows say at x (n,), where they were linearised.
+    with effects at their sizes. told: what its rows say at x (n,), where they were linearised.
     """
-    held = posterior_covariance(told.information, bound.prior_std)
+    held = posterior_covariance(told.information, bound.prior_information)
     if not np.isfinite(held).all():  # something that neither rows nor prior hold: what is left of a row is not known
         return False
-    step = held @ told.toward - x
+    step = held @ told.toward - (x - bound.x0)
     count = len(bound.measured)
     few = np.unique(np.linspace(0, count - 1, min(count, MOST_ROWS)).astype(np.intp))
     part = bound if few.size == count else bound.take(few)

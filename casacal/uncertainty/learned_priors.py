@@ -173,7 +173,7 @@ class _Arm:
     @staticmethod
     def of(fit: BoundProblem, x: Array) -> _Arm:
         keys = set(fit.problem.robot.parameters)
-        held = fit.prior_information
+        held = np.diagonal(fit.prior_information)
         found: dict[str, list[int]] = {}
         for j in (j for slot in fit.slots if slot.key in keys for j in slot.columns):
             if held[j] > 0:
@@ -189,7 +189,7 @@ class _Arm:
 
     def evidence(self, times: Mapping[str, float]) -> float:
         """Logarithm of the likelihood of the rows where priors are so many times as wide, but for a constant."""
-        return evidence(self.rows, self.scaled(times))
+        return evidence(self.rows, np.diag(self.scaled(times)))
 
     def moved(self, times: Mapping[str, float]) -> _Arm:
         """The same rows where the fit stands under that prior: a fit under a tight one is bent."""

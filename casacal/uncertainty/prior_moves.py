@@ -9,7 +9,7 @@ import numpy as np
 
 from casacal.array_types import Array, Index
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.marginal import Seen
+from casacal.binding.seen import Seen
 from casacal.uncertainty.figures import chance_beyond
 
 DULL = 1e-3  # part of a prior's variance that samples must take away from a direction before it can be said to move

@@ -112,7 +112,7 @@ def gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[str, dict[
     """
     bound = bound.thinned(MOST_ROWS)
     slopes, r, prior = bound.jacobian(x), bound.residual(x), bound.prior_information
-    heights = slopes @ x - r
+    heights = slopes @ (x - bound.x0) - r
     priors = {key: _without(bound, prior, key) for key in keys}
     found: dict[str, dict[str, float]] = {key: {} for key in priors}
     if len(bound.samples) == 1:
@@ -135,9 +135,12 @@ def _densities(seen: list[NormalEquations], prior: Array) -> float:
     for k in range(len(seen)):
         others = [part for j, part in enumerate(seen) if j != k]
         rest = sum(others[1:], others[0])
-        known = (prior > 0) | (np.diagonal(rest.information) > 0)  # a face that is left out stands where it likes
+        known = (np.diagonal(prior) > 0) | (
+            np.diagonal(rest.information) > 0
+        )  # a face that is left out stands where it likes
         total += whole - evidence(
-            NormalEquations(rest.information[np.ix_(known, known)], rest.toward[known], rest.square), prior[known]
+            NormalEquations(rest.information[np.ix_(known, known)], rest.toward[known], rest.square),
+            prior[np.ix_(known, known)],
         )
     return total
 
@@ -174,5 +177,6 @@ def _halves(joints: Array, rows: Index) -> list[Index]:
 
 
 def _without(bound: BoundProblem, prior: Array, key: str) -> Array:
-    """A prior's information (n,) with an effect gone."""
-    return np.where(np.array(bound.beside) == key, prior * GONE, prior)
+    """A prior's information (n, n) with an effect gone."""
+    gone = np.array(bound.beside) == key
+    return np.asarray(prior + np.diag(np.where(gone, GONE * np.diagonal(prior), 0.0)))

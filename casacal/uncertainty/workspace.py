@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from casacal.array_types import Array, Index
-from casacal.binding.marginal import Marginal, Seen
+from casacal.binding.seen import ArmAlone, Seen
 from casacal.least_squares.linalg import posterior_covariance, svd
 from casacal.robots.robot import Robot, random_joints
 
@@ -105,7 +105,7 @@ def marginal_scale_std(bound: Seen) -> float:
     information, direction = bound.information(bound.x0), scale_direction(bound)
     scale = bound.start_std
     pull = information @ direction
-    inner = scale[:, None] * (information + np.diag(bound.prior_information)) * scale
+    inner = scale[:, None] * (information + bound.prior_information) * scale
     left = float(direction @ pull) - float((scale * pull) @ np.linalg.lstsq(inner, scale * pull, rcond=1e-14)[0])
     return float(1.0 / np.sqrt(max(left, 1e-300)))
 
@@ -125,15 +125,16 @@ def seen_space(rows: Array) -> tuple[int, Array]:
 
 
 def bayesian_bound(
-    information: Array, prior_std: Array, tip_jacobian: Array, tips: Array, off: Array | None = None
+    information: Array, prior: Array, tip_jacobian: Array, tips: Array, off: Array | None = None
 ) -> float:
     """Smallest RMS tip error (mm) over the workspace, apart from rigid motion, that data and prior allow.
 
-    sqrt(trace(H (F + Lambda0)^-1 H') / N): F the data's information (n, n), H the tips' Jacobian (3 N, n) with the
-    rigid fields projected out, N tips (N, 3). Infinite when a flat direction that the data do not see moves a tip.
+    sqrt(trace(H (F + Lambda)^-1 H') / N): F and Lambda the information of data and prior (n, n), H the tips' Jacobian
+    (3 N, n) with the rigid fields projected out, N tips (N, 3). Infinite when a flat direction that the data do not see
+    moves a tip.
     `off` as for `tip_stds`.
     """
-    return spread_rms(posterior_covariance(information, prior_std), tip_jacobian, tips, off)
+    return spread_rms(posterior_covariance(information, prior), tip_jacobian, tips, off)
 
 
 def spread_rms(covariance: Array, tip_jacobian: Array, tips: Array, off: Array | None = None) -> float:
@@ -166,6 +167,6 @@ def tool_unknowns(bound: Seen, x: Array) -> Index:
 
 def flange_jacobian(bound: Seen, x: Array, joints: Array) -> tuple[Array, Array]:
     """Flange origins (N, 3; mm) at joint values (N, n; rad, mm), and their derivative (3 N, n) by x."""
-    if isinstance(bound, Marginal):
+    if isinstance(bound, ArmAlone):
         return bound.blocks[0].slopes("flange", bound.expand(x), joints, bound.free)
     return bound.blocks[0].slopes("flange", x, joints)

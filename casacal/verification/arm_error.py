@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from casacal.array_types import Array
+from casacal.calibration.fresh import Fresh, guesses
 from casacal.compensation.arm import CalibratedArm
 from casacal.uncertainty.fresh_rows import spanned
 from casacal.verification.decision import Scatter
-from casacal.verification.fresh import Fresh, guesses
 
 USUAL, AS_ROWS = 5.0, 20.0
 """Variance of the squares of one component over the square of their mean, as it may well be, and how many rows that

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
+from casacal.calibration.fresh import Fresh
+from casacal.calibration.opened import Opened, opened
 from casacal.calibration.saved import AsArm
 from casacal.compensation.arm import CalibratedArm
 from casacal.errors import CasacalError, SamplesError
@@ -25,8 +27,6 @@ from casacal.uncertainty.workspace import tip_rms, tip_stds, without_rigid, work
 from casacal.values import is_real
 from casacal.verification.arm_error import errors_by_part, seen_by_rows
 from casacal.verification.decision import RISK, Decision, decide
-from casacal.verification.fresh import Fresh
-from casacal.verification.opened import Opened, opened
 from casacal.verification.verification import LEVEL, FaceVerification, Verification
 
 LEAST_RISK = 1e-4  # risk below which nobody knows the noise well enough

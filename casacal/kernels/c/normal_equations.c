@@ -23,7 +23,7 @@ void accumulate(long count, const piece *pieces, long n, const double *x, double
 }
 
 /* A damped Gauss-Newton step y in coordinates (x - x0) / scale, (H + damping I) y = -g, with H and g of the whole
-   objective: x + scale y to out[n], then y'Hy and the fall of the cost that the model predicts. H + damping I = U'U by
+   objective, whose prior has an information prior[n][n]: x + scale y to out[n], then y'Hy and the fall of the cost that the model predicts. H + damping I = U'U by
    rows, which vectorises. work: 2 n (n + 1). Returns whether the matrix was safely positive definite: a pivot below
    LEAST_PIVOT of its diagonal element is mostly rounding. */
 long damped_step(long n, const double *restrict information, const double *restrict gradient, const double *restrict x,
@@ -33,10 +33,13 @@ long damped_step(long n, const double *restrict information, const double *restr
     double *restrict h = work, *restrict u = h + n * n, *restrict g = u + n * n, *restrict y = g + n;
     double length = 0.0, predicted = 0.0;
     for (long i = 0; i < n; i++) {
-        g[i] = scale[i] * (gradient[i] + prior[i] * (x[i] - x0[i]));
+        double pull = gradient[i];
+        for (long k = 0; k < n; k++) {
+            pull += prior[i * n + k] * (x[k] - x0[k]);
+            h[i * n + k] = scale[i] * (information[i * n + k] + prior[i * n + k]) * scale[k];
+        }
+        g[i] = scale[i] * pull;
         y[i] = -g[i];
-        for (long k = 0; k < n; k++) h[i * n + k] = scale[i] * information[i * n + k] * scale[k];
-        h[i * n + i] += scale[i] * scale[i] * prior[i];
         for (long k = i; k < n; k++) u[i * n + k] = h[i * n + k];
         u[i * n + i] += damping;
     }

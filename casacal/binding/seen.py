@@ -12,54 +12,32 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.slots import make_slots
 from casacal.estimators import lm
-from casacal.least_squares.linalg import freed_of
-from casacal.least_squares.losses import Loss
-from casacal.least_squares.objective import Normal
-from casacal.least_squares.restricted import Restricted
+from casacal.least_squares.conditioned import Conditioned
 from casacal.samples.samples import Samples
 
 
-class Marginal(Restricted):
+class ArmAlone(Conditioned):
     """The unknowns (s,) of a bound problem's geometry, and of effects beside it none, or those that move the tip.
 
-    The others stand at a given x and move freely with these: information is what is left after they are taken out.
-    Positions in x are not those of the slots. With `motion`, effects that move the tip are among them.
+    The others stand at a given x and move freely with these. With `motion`, effects that move the tip are among them.
     """
 
     whole: BoundProblem
 
     def __init__(self, whole: BoundProblem, at: Array, *, motion: bool = False) -> None:
         kept = {effect.key for effect in whole.problem.effects if effect.moves} if motion else set()
-        self._out = np.array([bool(key) and key not in kept for key in whole.beside], dtype=bool)
-        super().__init__(whole, ~self._out, at)
+        out = np.array([bool(key) and key not in kept for key in whole.beside], dtype=bool)
+        super().__init__(whole, ~out, at, out=out)
         self.problem, self.blocks, self.slots = whole.problem, whole.blocks, whole.slots
 
     def __eq__(self, other: object) -> bool:
-        if self is other or not isinstance(other, Marginal):
+        if self is other or not isinstance(other, ArmAlone):
             return self is other
         same = np.array_equal(self.free, other.free) and np.array_equal(self.held_at, other.held_at)
         return same and self.whole == other.whole
 
     def __hash__(self) -> int:
         return hash((self.whole, self.names))
-
-    def jacobian(self, x: Array) -> Array:
-        """As many rows as are needed for its J'J: rows of samples mix where unknowns are taken out."""
-        return self.compact_jacobian(x)
-
-    def compact_jacobian(self, x: Array) -> Array:
-        """Rows (k, s) with the J'J that is left of these unknowns."""
-        rows = self.whole.compact_jacobian(self.expand(x))
-        if not self._out.any():
-            return rows
-        held = np.diag(np.sqrt(self.whole.prior_information))[self._out]  # what holds the others besides the rows
-        rows = np.vstack([rows, held])
-        return freed_of(rows[:, self.free], rows[:, self._out])
-
-    def normal(self, x: Array, loss: Loss | None = None) -> Normal:
-        """Cost and gradient (s,) where the others stand, information (s, s) with them taken out."""
-        there, rows = self.whole.normal(self.expand(x), loss), self.compact_jacobian(x)
-        return Normal(there.cost, there.gradient[self.free], rows.T @ rows)
 
     def parameters(self) -> Iterator[tuple[str, str, float, int | None]]:
         """Every number of every parameter: name, unit, nominal, and its position in x (None when held)."""
@@ -75,7 +53,7 @@ class Marginal(Restricted):
         return self.whole.tip_jacobian(self.expand(x), joints, instrument, self.free, usual=usual)
 
 
-Seen: TypeAlias = BoundProblem | Marginal
+Seen: TypeAlias = BoundProblem | ArmAlone
 """What figures of the arm are worked out from."""
 
 
@@ -83,7 +61,7 @@ def seen(bound: BoundProblem, x: Array, *, motion: bool = False) -> tuple[Seen, 
     """What figures of the arm need at x (n,), and the part of x that it has: all, where that is all there is."""
     if not any(bound.beside):
         return bound, x
-    found = Marginal(bound, x, motion=motion)
+    found = ArmAlone(bound, x, motion=motion)
     return found, x[found.free]
 
 
@@ -104,7 +82,9 @@ def bind_further(bound: BoundProblem, *samples: Samples) -> BoundProblem:
             slots.append(replace(slot, first=slots[-1].first + slots[-1].unknown.size))
     if len(slots) == len(seen):
         return bound.on(*samples)
-    return BoundProblem(bound.problem, slots, samples, bound.backend, scale=bound.scale, surveys=bound.surveys)
+    return BoundProblem(
+        bound.problem, slots, samples, bound.backend, scale=bound.scale, surveys=bound.surveys, known=bound.known
+    )
 
 
 def extended(further: BoundProblem, x: Array) -> Array:
@@ -112,5 +92,5 @@ def extended(further: BoundProblem, x: Array) -> Array:
     new = np.arange(further.unknowns) >= x.size
     if not new.any():
         return x
-    part = Restricted(further, new, np.concatenate([x, np.zeros(int(new.sum()))]))
+    part = Conditioned(further, new, np.concatenate([x, np.zeros(int(new.sum()))]))
     return np.asarray(part.expand(lm(part).x))

@@ -11,6 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casacal.calibration.fresh import Fresh, fresh_rows
 from casacal.calibration.given import problem_from, samples_of
 from casacal.calibration.saved import AsArm
 from casacal.compensation.arm import CalibratedArm
@@ -24,7 +25,6 @@ from casacal.problem.problem_file import ProblemFile
 from casacal.robots.robot import Robot, random_joints
 from casacal.samples.repeats import copies, fitted_among, in_fitted_postures
 from casacal.samples.samples import Samples
-from casacal.verification.fresh import Fresh, fresh_rows
 from casacal.wording import counted, listed
 
 SAME = 1e-6  # difference (mm; of a rotation's elements) of two poses below which arms are one
@@ -161,11 +161,11 @@ def opened(
     source, robot = arm.source, arm.source.problem.robot
     if problem is not None:  # the result's arm with another problem's instrument
         other = problem_from(problem).problem
-        if not _same_arm(robot, other.robot):
+        if not same_arm(robot, other.robot):
             what = f"{arm.file}: the arm of the problem ({other.robot.name}) is not the calibrated one ({robot.name})"
             raise CasacalError(what, "Give a problem whose robot is that of the calibration, parameter by parameter")
         source = ProblemFile.of(Problem(robot, other.instrument))
-    return _fresh_among(arm, source, samples_of(samples, source, 0), other=problem is not None)
+    return fresh_among(arm, source, samples_of(samples, source, 0), other=problem is not None)
 
 
 def measured_by(arm: CalibratedArm, samples: Any, instrument: str | None) -> str | None:
@@ -195,7 +195,7 @@ def measured_by(arm: CalibratedArm, samples: Any, instrument: str | None) -> str
     raise CasacalError(f"These rows fit none of the instruments: {'; '.join(reasons)}", "Correct the columns")
 
 
-def _same_arm(one: Robot, two: Robot) -> bool:
+def same_arm(one: Robot, two: Robot) -> bool:
     """Whether two arms have the same parameters, and the same poses wherever these move a little."""
     if [axis.turns for axis in one.axes] != [axis.turns for axis in two.axes] or set(one.parameters) != set(
         two.parameters
@@ -221,7 +221,7 @@ def _same_arm(one: Robot, two: Robot) -> bool:
     return True
 
 
-def _fresh_among(arm: CalibratedArm, source: ProblemFile, rows: Samples, *, other: bool) -> Opened:
+def fresh_among(arm: CalibratedArm, source: ProblemFile, rows: Samples, *, other: bool) -> Opened:
     """Without copies of others, and without rows that the arm was calibrated from.
 
     Raises SamplesError where half of the rows or more are those that were fitted.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,16 +14,20 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import OTHERS, REPEATABILITY
 from casacal.binding.slots import make_slots
-from casacal.compensation.arm import CalibratedArm, all_motion, named_covariance
-from casacal.errors import CasacalError, ProblemError, SamplesError, UnknownNameError
+from casacal.calibration.shifts import JOINTS, joint_direction, shift_columns, with_shifts
+from casacal.compensation.arm import CalibratedArm, all_motion, named_covariance, with_effects
+from casacal.errors import CasacalError, ProblemError, SamplesError, UnknownNameError, came
 from casacal.estimators import lm
-from casacal.least_squares.restricted import Restricted
+from casacal.least_squares.conditioned import Conditioned
+from casacal.least_squares.gaussian import Gaussian
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.uncertainty.fresh_rows import FreshRows, covariance_root
 from casacal.unknowns import Unknown
+from casacal.values import is_real
 from casacal.wording import counted
 
+ANYWHERE = {"rad": 0.1, "mm": 100.0}  # standard deviations of what may have moved as far as anything does
 MOST = 30_000_000  # elements of a Jacobian that is held as a whole
 
 
@@ -66,7 +70,7 @@ class Fresh:
 
     def fitted(self, at: Array) -> Array:
         """The same with what is known held elsewhere (n,)."""
-        part = Restricted(self.bound, ~self.known, at)
+        part = Conditioned(self.bound, ~self.known, at)
         return np.asarray(part.expand(lm(part).x))
 
     @cached_property
@@ -89,9 +93,84 @@ class Fresh:
         spread = slopes[:, ~free] @ covariance_root(self.covariance[np.ix_(~lost, ~lost)])
         return FreshRows(np.concatenate([bound.residual(self.x), off]), spread, slopes[:, free])
 
+    def loosened(self, stds: Mapping[str, float | None]) -> Fresh:
+        """The same with more doubt about what they are judged by: C' = C + E S^2 E'.
+
+        stds: standard deviations (mm, rad) by the name of an unknown ("theta4"), or the key of several ("theta"), or a
+        joint ("joint4"), whose zero may then be elsewhere; None for anywhere. Raises UnknownNameError for what these
+        rows take from no calibration, CasacalError for what is no size, or a joint that no unknown of the arm follows.
+        """
+        bound, places = self.bound, dict[str, list[int]]()
+        position = np.cumsum(self.known) - 1
+        for slot in bound.slots:
+            for j, name in zip(slot.columns, slot.unknown.names(slot.name), strict=True):
+                if self.known[j] and not slot.beside:
+                    for word in dict.fromkeys((name, slot.name, slot.key)):
+                        places.setdefault(word, []).append(int(position[j]))
+        joints = {f"joint{i}": axis for i, axis in enumerate(bound.problem.robot.axes, 1)}
+        covariance, units = self.covariance.copy(), np.array(bound.units)[self.known]
+        for name, std in stds.items():
+            if std is not None and not (is_real(std) and 0 <= std < math.inf):
+                raise CasacalError(f"Got {came(std)} as the drift of '{name}'", "Give zero or more, mm or rad")
+            if name in places:
+                sizes = [ANYWHERE.get(units[k], 1.0) if std is None else float(std) for k in places[name]]
+                covariance[places[name], places[name]] += np.square(sizes)
+            elif name in joints:
+                size = ANYWHERE["rad" if joints[name].turns else "mm"] if std is None else float(std)
+                along = size * self._of_joint(list(joints).index(name))[self.known]
+                covariance += np.outer(along, along)
+            elif name in {**bound.problem.robot.parameters, **bound.problem.instrument.unknowns}:
+                what = f"'{name}' may have changed, but this problem holds it, or nothing says that it stood"
+                fix = f"Free it (--free {name}) and calibrate anew; or name with --standing what has not been moved"
+                raise CasacalError(what, fix)
+            else:
+                raise UnknownNameError("unknown of the calibration", name, {**places, **dict.fromkeys(joints)})
+        return replace(self, covariance=covariance) if stds else self
+
+    def _of_joint(self, i: int) -> Array:
+        """Direction (n,) in the arm's unknowns that a shift of a joint's zero is."""
+        shifted = with_shifts(self.bound)
+        arm = np.isin(np.arange(shifted.unknowns), self.of_arm)
+        x = np.append(self.at, np.zeros(shifted.unknowns - self.at.size))
+        x[np.array(shifted.beside, dtype=bool)] = 0.0  # gears that err are no part of an offset
+        found = joint_direction(shifted, x, int(shift_columns(shifted, JOINTS)[i]), arm)
+        if found is None:
+            what = f"no free unknown of the arm is what joint {i + 1} may have slipped by"
+            fix = "Calibrate with its parameters free (without --fix), from old and new rows"
+            raise CasacalError(what, fix)
+        return found[: self.at.size]
+
+    @property
+    def gaussian(self) -> Gaussian:
+        """What the calibration knows, all of it together: the prior of these rows."""
+        names = tuple(name for name, known in zip(self.bound.names, self.known, strict=True) if known)
+        return Gaussian(names, self.at[self.known], self.covariance)
+
     def some(self, rows: NDArray[np.intp]) -> FreshRows:
         """The same of some residuals alone, with all priors."""
         return self.linear.take(np.concatenate([rows, np.arange(self.bound.rows, len(self.linear.residual))]))
+
+
+ANEW = ("growth",)  # keys of effects that move the tip and differ from session to session
+
+
+def with_memory(fresh: Fresh, arm: CalibratedArm) -> Fresh:
+    """The same rows with the geometry and the effects that go with the arm as they were estimated, and how well.
+
+    Itself where a result says nothing of effects.
+    """
+    found = with_effects(arm)
+    if found is None:
+        return fresh
+    whole, off = found
+    places, bound, columns = {name: i for i, name in enumerate(off)}, fresh.bound, np.flatnonzero(fresh.known)
+    stays = [k for k, j in enumerate(columns) if bound.names[j] in places and bound.beside[j] not in ANEW]
+    index = [places[bound.names[columns[k]]] for k in stays]
+    covariance, at = fresh.covariance.copy(), fresh.at.copy()
+    covariance[np.ix_(stays, stays)] = whole[np.ix_(index, index)]
+    for k in stays:
+        at[columns[k]] += off[bound.names[columns[k]]]
+    return replace(fresh, at=at, covariance=covariance)
 
 
 def guesses(bound: BoundProblem, known: NDArray[np.bool_]) -> tuple[NDArray[np.intp], Array]:

@@ -1,0 +1,190 @@
+"""An earlier result as the prior of a calibration: all that it knows, with its covariance, and what may have moved."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from casacal.binding.bound_problem import BoundProblem
+from casacal.calibration.fresh import Fresh, fresh_rows, with_memory
+from casacal.calibration.motion import Tried
+from casacal.calibration.opened import Opened, fresh_among, same_arm
+from casacal.calibration.saved import AsArm
+from casacal.checks.finding import Finding
+from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.result import Verdict
+from casacal.compensation.result_file import read_result
+from casacal.errors import CasacalError, came
+from casacal.least_squares.result import Result
+from casacal.problem.problem import Problem
+from casacal.problem.problem_file import ProblemFile
+from casacal.samples.samples import Samples
+from casacal.uncertainty.fresh_rows import chance
+from casacal.uncertainty.transfer import in_sample_gains
+from casacal.values import FrozenMapping, Value
+
+
+@dataclass(frozen=True, eq=False)
+class EarlierResult(Value):
+    """Which result a calibration began from, and how.
+
+    file, sha256: the result. verdict: its own. expected_mm: the tip error that it expected. noise_freedom: degrees of
+    freedom of the noise that it found, infinite where it was stated. standing: what had not moved since. loosened: what
+    may have, by name: its standard deviation, None for anywhere. corrected: keys of the effects that it corrects.
+    fitted_rows: those that it was calibrated from. left_out: lines of rows among them that came again.
+    """
+
+    file: str
+    sha256: str
+    verdict: Verdict
+    expected_mm: float
+    noise_freedom: float
+    standing: tuple[str, ...]
+    loosened: Mapping[str, float | None]
+    corrected: tuple[str, ...]
+    fitted_rows: Mapping[str, Any] | None
+    left_out: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "loosened", FrozenMapping(self.loosened))
+
+    def chance_of(self, found: Result) -> float:
+        """Chance of rows that lie so far from what it expects of them, where nothing but `loosened` has changed.
+
+        Twice the cost at the minimum, over the rows and what is known beforehand, is chi-square.
+        """
+        fit = found.problem
+        return chance(2 * found.cost, fit.rows + len(fit.prior_rows) - fit.unknowns, self.noise_freedom)
+
+    def tried(self, fit: BoundProblem, found: Result) -> tuple[Tried, ...]:
+        """Effects that were corrected stay so: few new rows could hardly ask again."""
+        known = {each.key: each for each in fit.problem.effects if each.key in fit.beside and each.moves}
+        told = in_sample_gains(fit, found.x, known)
+        return tuple(
+            Tried(key, each.words, told[key], {}, key in self.corrected, each.further) for key, each in known.items()
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class RowsSince:
+    """An earlier result, opened for rows of some problem."""
+
+    opened: Opened
+    result: EarlierResult
+
+    def bound(self, samples: Samples, *, set_aside: bool) -> tuple[BoundProblem, tuple[Finding, ...]]:
+        """Rows under all that the earlier result knows, and what is wrong with those that were set aside.
+
+        With its effects beside the geometry, of their sizes, and with the noise that it found. Raises CasacalError for
+        what cannot be loosened, or stand; SamplesError for too few rows.
+        """
+        given, source = self.opened, self.opened.source.problem
+        standing = self.result.standing
+        fresh = fresh_rows(given.arm, source, samples, other=given.other, standing=standing)
+        fresh = with_memory(fresh, given.arm).loosened(self.result.loosened)
+        if fresh.lost.any():
+            name = fresh.gaussian.names[int(np.flatnonzero(fresh.lost)[0])]
+            what = f"{given.arm.file}: it leaves '{name}' without bound, so it is no prior"
+            raise CasacalError(what, "Calibrate again with old and new rows")
+        aside: tuple[Finding, ...] = ()
+        if set_aside:
+            fresh, aside = _without_gross(fresh)
+        return fresh.bound.with_known(fresh.gaussian), aside
+
+
+def _without_gross(fresh: Fresh) -> tuple[Fresh, tuple[Finding, ...]]:
+    """Without rows that neither the earlier result nor the other rows expect, where these are few."""
+    bound, per_row = fresh.bound, fresh.bound.rows // len(fresh.bound.block.samples)
+    rows = sorted({int(k) // per_row for k in fresh.linear.gross() if k < bound.rows})
+    if not rows:
+        return fresh, ()
+    samples = bound.block.samples
+    found = Finding(
+        "error",
+        "outliers",
+        "these rows are not where the earlier result and the other rows expect them",
+        "Measure there again, or keep them with --keep-outliers",
+        tuple(samples.lines[k] for k in rows),
+    )
+    kept = np.setdiff1d(np.arange(len(samples)), rows)
+    return replace(fresh, bound=bound.take(kept)), (found,)
+
+
+def earlier(
+    result: AsArm | CalibratedArm | str | Path,
+    source: ProblemFile,
+    samples: Samples,
+    *,
+    loosen: Collection[str] | Mapping[str, float | None],
+    standing: Collection[str],
+) -> RowsSince:
+    """Open an earlier result as the prior of some rows of a problem.
+
+    Raises CasacalError for a result that is not to be used, that is no calibration, or of another arm; SamplesError
+    where the rows are those that it was calibrated from.
+    """
+    for what, given in (("to loosen", loosen), ("of what has not moved", standing)):
+        if isinstance(given, str):
+            raise CasacalError(f"Got the text '{given}' as the list {what}", f"Give ('{given}',)")
+    arm = _arm_of(result)
+    robot = source.problem.robot
+    if not same_arm(arm.source.problem.robot, robot):
+        what = f"{arm.file}: the arm of the problem ({robot.name}) is not the calibrated one"
+        raise CasacalError(what, "Give the problem that it was calibrated with")
+    mine, its = source.problem.instrument, arm.source.problem.instrument
+    other = type(mine) is not type(its) or set(mine.unknowns) != set(its.unknowns)
+    _refuse_other_unknowns(arm, source.problem, other=other)
+    opened = fresh_among(arm, source, samples, other=other)
+    found, said = arm.found, arm.found.verdict
+    given = loosen if isinstance(loosen, Mapping) else dict.fromkeys(loosen)
+    stds = {name.replace("joint ", "joint"): std for name, std in given.items()}
+    return RowsSince(
+        opened,
+        EarlierResult(
+            arm.file,
+            str((arm.document.get("seal") or {}).get("sha256", "")),
+            said if said is not None else Verdict("use with care", "It has no verdict."),
+            found.tip.expected_mm,
+            opened.noise_freedom,
+            tuple(standing),
+            stds,
+            arm.corrected,
+            found.data.fitted_rows,
+            opened.fitted,
+        ),
+    )
+
+
+def _arm_of(result: Any) -> CalibratedArm:
+    """A result as an arm that can be a prior; raises CasacalError for one that is none."""
+    if isinstance(result, (str, Path)):
+        result = read_result(result)
+    elif isinstance(result, AsArm):
+        result = result.arm
+    if not isinstance(result, CalibratedArm):
+        raise CasacalError(f"Got {came(result)} as the earlier result", "Give a calibration, or its result.json")
+    if (words := result.denial) is not None:
+        fix = "Mend what the verdict names, and calibrate again"
+        raise CasacalError(f"{result.file}: {words.removesuffix('.')}, so it is no prior", fix)
+    if result.found.method == "truth":
+        raise CasacalError(f"{result.file}: a true arm is not estimated, so it is no prior", "Give a calibration")
+    if result.found.data.instruments:
+        fix = "Calibrate again with all rows"
+        raise CasacalError(f"{result.file}: a result of several instruments is no prior of the rows of one", fix)
+    return result
+
+
+def _refuse_other_unknowns(arm: CalibratedArm, problem: Problem, *, other: bool) -> None:
+    """Raise CasacalError where an unknown is free in one of the problems and held in the other."""
+    free = []
+    for each in (arm.source.problem, problem):
+        unknowns = {**each.robot.parameters, **({} if other else each.instrument.unknowns)}
+        free.append({name for key, unknown in unknowns.items() if unknown.per is None for name in unknown.names(key)})
+    if differ := sorted(free[0] ^ free[1]):
+        held = "this problem holds" if differ[0] in free[0] else "the earlier calibration held"
+        fix = "Give the problem that it was calibrated with, without --fix or --free"
+        raise CasacalError(f"{arm.file}: {held} '{differ[0]}', which is free in the other", fix)
