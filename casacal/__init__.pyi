@@ -89,7 +89,7 @@ from casacal.robots.carriers import turntable as turntable
 from casacal.robots.joints import Conventions as Conventions
 from casacal.robots.joints import Joint as Joint
 from casacal.robots.robot import Robot as Robot
-from casacal.samples.measurements import Measurements as Measurements
+from casacal.samples.samples import Measurements as Measurements
 from casacal.samples.samples import Samples as Samples
 from casacal.simulation.cell import Cell as Cell
 from casacal.simulation.cell import Disturbances as Disturbances

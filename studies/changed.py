@@ -19,7 +19,7 @@ from casacal.changes.explain import SURE, contenders, explanations
 from casacal.changes.look import Look
 from casacal.compensation.arm import CalibratedArm
 from casacal.simulation.simulate import simulate_one
-from casacal.simulation.true_arm import Draw
+from casacal.simulation.touches import Draw
 from casacal.study.statistics import success_rate
 from studies import reporting
 from studies.reporting import script

@@ -14,7 +14,7 @@ import numpy as np
 
 from casacal import ProblemFile, Run, bind, calibrate, load_problem, simulate
 from casacal.simulation.simulate import default_cell, simulate_one
-from casacal.simulation.true_arm import Draw
+from casacal.simulation.touches import Draw
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 from studies import reporting
 from studies.reporting import script

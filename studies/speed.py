@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from casacal import Run, lm
-from casacal.kernels.compiler import CompilerError
+from casacal.kernels.libraries import CompilerError
 from studies import speed_contenders, speed_scale
 from studies.reporting import figure, palette, save, script, table
 from studies.speed_case import CANDIDATES, Case, agreement, case

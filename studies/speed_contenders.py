@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from casacal import BoundProblem, ekf, ipopt, lm, sckf
-from casacal.kernels.batch import Batch
+from casacal.kernels.block_rows import Batch
 from studies.speed_case import CANDIDATES, ByHand, Case, kernels
 
 try:  # another library's filter, where it is installed

@@ -30,8 +30,7 @@ import numpy as np
 from seals import resealed_text
 
 from casacal.errors import CasacalError
-from casacal.samples.layout import Layout
-from casacal.samples.samples import Samples
+from casacal.samples.samples import Layout, Samples
 
 SECONDS = 10.0
 MEMORY = 2 << 30

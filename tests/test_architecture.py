@@ -51,8 +51,8 @@ ORDER = [
 """The packages and modules of casacal/, from the ground up: each imports only what stands before it, or itself."""
 PLACE = {name: place for place, name in enumerate(ORDER)}
 EXTRAS = {
-    "study.executors": {"dask", "distributed"},
-    "tables.workbooks": {"openpyxl"},
+    "study.runs": {"dask", "distributed"},
+    "tables.read": {"openpyxl"},
     "measuring.gauges": {"serial"},
     "cli.completion": {"shtab"},
 }

@@ -15,7 +15,7 @@ from instruments_on_ur5 import PROBLEMS
 from casacal import Samples, load_problem, simulate
 from casacal.cli.main import main
 from casacal.errors import CasacalError, StudyError, UnknownNameError
-from casacal.samples.write import write_samples
+from casacal.samples.samples import write_samples
 from casacal.study.benchmark import (
     bench_lines,
     benchmark,
@@ -26,10 +26,8 @@ from casacal.study.benchmark import (
     root_mean_square,
     squares_of,
 )
-from casacal.study.description import Run
-from casacal.study.executors import errands
-from casacal.study.records import read_records
-from casacal.study.runs import tasks_of
+from casacal.study.description import Run, read_records
+from casacal.study.runs import errands, tasks_of
 from studies.bench import methods
 
 PROBLEM = """

@@ -8,10 +8,9 @@ import pytest
 
 from casacal import DialOnPlane, Problem, calibrate, check, deg, load_problem, simulate, tool_point
 from casacal.calibration.verdict import verdict_of
-from casacal.checks import causes
-from casacal.checks.causes import _Attempt, _looked_at_closely, _simplest, explained
+from casacal.checks import faults as causes
+from casacal.checks.faults import _Attempt, _looked_at_closely, _simplest, explained, tool_elsewhere
 from casacal.checks.finding import Fault, Undone, misfit
-from casacal.checks.fitted_faults import tool_elsewhere
 from casacal.simulation.cell import Cell, Face
 from studies.cell_mistakes import PROBLEMS, planted, simulated
 

@@ -32,8 +32,7 @@ from casacal.changes.look import AllTests, Look, row_bases
 from casacal.errors import SamplesError, UnknownNameError
 from casacal.samples.samples import joined
 from casacal.simulation.simulate import simulate_one
-from casacal.simulation.touches import default_cell
-from casacal.simulation.true_arm import Draw
+from casacal.simulation.touches import Draw, default_cell
 from casacal.uncertainty.fresh_rows import FreshRows, chances, likelihood, occam, seen_basis
 
 STANDING = ("floor", "wall", "side")

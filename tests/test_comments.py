@@ -9,8 +9,7 @@ from casacal.compensation.predict import read_joints
 from casacal.compensation.targets import read_targets
 from casacal.doctor import read_pendant_rows
 from casacal.errors import ProblemError, SamplesError
-from casacal.samples.layout import Layout
-from casacal.samples.samples import Samples
+from casacal.samples.samples import Layout, Samples
 from casacal.tables.read import read_columns
 from casacal.tables.text import joined_tables, read_table
 

@@ -15,11 +15,11 @@ from scipy.spatial.transform import Rotation
 from casacal import Conventions, Joint, Parameter, Robot, chain, deg
 from casacal.cli.main import main
 from casacal.doctor import PendantRows, diagnose, read_pendant_rows
-from casacal.doctor.axes import axes_of
+from casacal.doctor.search import axes_of
 from casacal.doctor.words import diagnosis_text
 from casacal.errors import CasacalError, ProblemError, SamplesError
 from casacal.kinematics import rotate_x, rotate_z, translate_x, translate_z
-from casacal.robots.files.dh_text import dh_file_text, read_dh_file
+from casacal.robots.dh_table import dh_file_text, read_dh_file
 
 HSR = (ROOT / "problems" / "hsr_jr680").as_posix()
 QUARTER = math.pi / 2

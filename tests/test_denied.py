@@ -20,7 +20,7 @@ from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.export.forms import export
 from casacal.files import jsonable
-from casacal.samples.write import write_samples
+from casacal.samples.samples import write_samples
 from casacal.values import alike
 from studies.cell_mistakes import PROBLEMS, simulated
 

@@ -14,7 +14,7 @@ from conftest import ROOT
 import casacal
 from casacal import DialOnBody, DialOnPlane, Problem, calibrate, check, dial_zero, simulate
 from casacal.calibration.verdict import verdict_of
-from casacal.checks.fitted_faults import zero_moved
+from casacal.checks.faults import zero_moved
 from casacal.cli.main import main
 from casacal.errors import ProblemError, SimulationError
 from casacal.samples.samples import Samples

@@ -10,14 +10,12 @@ import pytest
 from conftest import ROOT
 
 from casacal import Conventions, DialOnBody, DialOnPlane, Problem, Step, bind, check, deg, lm, load_problem, simulate
-from casacal.checks.labels import odd_labels
-from casacal.checks.outliers import studentised_outliers
-from casacal.checks.rows import outside
-from casacal.checks.setup import tells_a_wrong_sign
-from casacal.cli.adjust import number_or_range
+from casacal.checks.before_fit import odd_labels, outside, tells_a_wrong_sign
+from casacal.checks.set_aside import studentised_outliers
+from casacal.cli.common import number_or_range
 from casacal.cli.main import main
 from casacal.discrepancy import with_kit
-from casacal.samples.write import write_samples
+from casacal.samples.samples import write_samples
 from casacal.tables.columns import Labels
 from casacal.uncertainty.figures import leverages
 

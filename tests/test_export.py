@@ -24,7 +24,7 @@ from casacal.compensation.arm import CalibratedArm, arm_values
 from casacal.compensation.result_file import read_result
 from casacal.files import write_json
 from casacal.problem.new import new_from_dh, new_from_urdf
-from casacal.robots.files.urdf_reader import read_urdf
+from casacal.robots.urdf import read_urdf
 
 PLAIN = "joint,alpha_deg,a_mm,d_mm,theta_deg\n"
 IIWA_CSV = "# convention: modified\n" + PLAIN
@@ -445,7 +445,7 @@ def call(function, sizes, *arguments):
 
 @pytest.mark.parametrize("name", ["ur5", "odd"])
 def test_c_agrees_with_python(place, compiled, name):
-    from casacal.export.c_code import c_functions
+    from casacal.export.functions import c_functions
 
     result = made(place / name, 7)
     library = compiled(result, "arm")
@@ -544,8 +544,8 @@ def test_parallel_axes_never_give_absurd_lengths(place, calibrated, tmp_path, na
         return
     source = place / ("ur5.csv" if name == "ur5" else "puma.toml")
     text = export.dh_text(result, toml=source.suffix == ".toml")
-    table = casacal.robots.files.dh_text.read_dh_file(_written(tmp_path / source.name, text))
-    began = casacal.robots.files.dh_text.read_dh_file(source)
+    table = casacal.robots.dh_table.read_dh_file(_written(tmp_path / source.name, text))
+    began = casacal.robots.dh_table.read_dh_file(source)
     for key in ("a", "d"):
         assert np.abs(np.subtract(getattr(table, key), getattr(began, key))).max() < reach
     frames = dh_pose(numbers(result), np.zeros(6), parallel)[1]

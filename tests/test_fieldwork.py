@@ -13,14 +13,12 @@ from conftest import ROOT
 from casacal import Cell, Face, Problem, TrackedPoint, bind, load_problem, plan, simulate
 from casacal.cli.main import main
 from casacal.errors import CasacalError
-from casacal.fieldwork.approaches import approaches
-from casacal.fieldwork.handouts import program_text, sheet_page
-from casacal.planning.clearance import Clearance, near_face
-from casacal.planning.exchange import Criterion, exchange
-from casacal.planning.how_many import touches_for
+from casacal.fieldwork.handouts import approaches, program_text, sheet_page
+from casacal.planning.choice import Clearance, Criterion, exchange, near_face
+from casacal.planning.plan import touches_for
 from casacal.planning.set_ups import set_ups
-from casacal.robots.joint_space import random_joints
 from casacal.robots.links import nodes_of
+from casacal.robots.robot import random_joints
 from casacal.uncertainty.expectation import planned_accuracy
 
 NAMES = ("hsr_jr680", "ur5", "kuka_iiwa14", "adept_cobra600")

@@ -12,12 +12,12 @@ from scipy.stats import t
 from test_scale import exact, raised_faces
 
 from casacal import Problem, Step, bind, calibrate, lm, simulate
-from casacal.checks.outliers import studentised_outliers
-from casacal.cli.adjust import adjusted
+from casacal.checks.set_aside import studentised_outliers
+from casacal.cli.common import adjusted
 from casacal.cli.main import main
 from casacal.least_squares.losses import huber
-from casacal.robots.joint_space import random_joints
-from casacal.samples.write import write_samples
+from casacal.robots.robot import random_joints
+from casacal.samples.samples import write_samples
 from casacal.uncertainty.expectation import accuracy_in_box
 from casacal.uncertainty.figures import leverages
 from casacal.uncertainty.workspace import (

@@ -12,7 +12,7 @@ from conftest import ROOT
 
 from casacal import Simulated, lm, swarm
 from casacal.least_squares.losses import huber
-from casacal.study.fingerprint import code_fingerprint, fingerprint
+from casacal.study.description import code_fingerprint, fingerprint
 
 FACTOR = 2.0
 
@@ -93,7 +93,7 @@ def test_a_users_instrument_tells_by_its_methods(hsr):
 @pytest.mark.long
 def test_another_process_finds_the_same():
     program = (
-        "from casacal import load_problem, Simulated, lm\nfrom casacal.study.fingerprint import *\n"
+        "from casacal import load_problem, Simulated, lm\nfrom casacal.study.description import *\n"
         "s = load_problem('problems/hsr_jr680')\n"
         "print(fingerprint([Simulated(s.problem, s.cell), lm, {1, 2, 'x'}]), code_fingerprint())"
     )

@@ -22,8 +22,7 @@ from casacal.calibration.result_json import calibration_document
 from casacal.calibration.tables import parameters
 from casacal.cli.main import main
 from casacal.least_squares.losses import huber
-from casacal.pages.drawing import Panel, nice_ceiling, tag, ticks
-from casacal.pages.maps import Scale, in_squares
+from casacal.pages.drawing import Panel, Scale, in_squares, nice_ceiling, tag, ticks
 from casacal.samples.samples import Samples
 
 HSR = ROOT / "problems" / "hsr_jr680"

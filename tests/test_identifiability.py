@@ -11,7 +11,7 @@ from casacal import Cell, DialOnPlane, Face, Problem, bind, calibrate, corner, l
 from casacal.cli.main import main
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.planning.cures import cure_for, cures
-from casacal.samples.write import write_samples
+from casacal.samples.samples import write_samples
 from casacal.uncertainty.expectation import classical_accuracy
 from casacal.uncertainty.identifiability import correlated_pairs, identifiability, known_from, prior_scale, sparse_basis
 from casacal.uncertainty.workspace import workspace_joints

@@ -33,7 +33,7 @@ from casacal.compensation.as_data import problem_from
 from casacal.tables.columns import Labels
 from casacal.uncertainty.figures import nees
 from casacal.uncertainty.workspace import bayesian_bound, tip_rms, without_rigid, workspace_joints
-from casacal.unknowns.fits import rigid_fit
+from casacal.unknowns.geometry import rigid_fit
 
 STILL = Disturbances(resolution=0.0, repeatability=0.0, error_scale=0.0)
 JOINTS = workspace_joints(ROBOT)

@@ -13,10 +13,9 @@ import pytest
 from test_kernels import HAS_COMPILER
 
 from casacal import chain, dh
-from casacal.kernels import c_source
-from casacal.kernels.algebra import Builder
+from casacal.kernels import native_rows as c_source
 from casacal.kernels.block_rows import BlockKernels, Columnwise, CurvatureKernel
-from casacal.kernels.program import Work, evaluate, read_program
+from casacal.kernels.program import Builder, Work, evaluate, read_program
 from casacal.kinematics import transform_point
 
 C_FILES = sorted(each.name for each in (resources.files("casacal.kernels") / "c").iterdir())

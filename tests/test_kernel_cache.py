@@ -13,9 +13,8 @@ from conftest import ROOT
 from test_kernels import HAS_COMPILER, fresh, kernels  # noqa: F401  a fixture
 from test_study import alive, within
 
-from casacal.kernels import compiler, libraries
-from casacal.kernels.compiler import CompilerError
-from casacal.kernels.libraries import KEY, load_library
+from casacal.kernels import libraries
+from casacal.kernels.libraries import KEY, CompilerError, load_library
 
 pytestmark = pytest.mark.skipif(not HAS_COMPILER or os.name != "posix", reason="no C compiler, or not Unix")
 GCC = next((path for name in ("gcc", "clang", "cc") if (path := shutil.which(name))), "")
@@ -30,7 +29,7 @@ def answer(value=7):
 
 
 def libraries_in(folder):
-    return sorted(folder.glob(f"*{compiler.SUFFIX}"))
+    return sorted(folder.glob(f"*{libraries.SUFFIX}"))
 
 
 def written(path, text):
@@ -235,8 +234,8 @@ OUT = 'while [ "$1" != -o ]; do shift; done\n'
     ],
 )
 def test_a_compiler_that_does_not_do_its_work_is_said(fresh, tmp_path, monkeypatch, text, says):  # noqa: F811
-    monkeypatch.setattr(compiler, "SECONDS", 0.5)
-    monkeypatch.setattr(compiler, "ANSWERS", 0.5)
+    monkeypatch.setattr(libraries, "SECONDS", 0.5)
+    monkeypatch.setattr(libraries, "ANSWERS", 0.5)
     monkeypatch.setenv("WITHOUT", str(built(tmp_path, "int other(void) { return 1; }\n")))
     monkeypatch.setenv("CC", written(tmp_path / "mine", text))
     for _ in range(2):
@@ -249,7 +248,7 @@ def test_a_compiler_that_does_not_do_its_work_is_said(fresh, tmp_path, monkeypat
 
 
 def test_a_compiler_that_does_not_answer_is_asked_once(fresh, tmp_path, monkeypatch):  # noqa: F811
-    monkeypatch.setattr(compiler, "ANSWERS", 0.2)
+    monkeypatch.setattr(libraries, "ANSWERS", 0.2)
     monkeypatch.setenv("CC", written(tmp_path / "mine", f"echo . >> {tmp_path}/asked\nsleep 60"))
     for _ in range(3):
         with pytest.raises(CompilerError):
@@ -258,7 +257,7 @@ def test_a_compiler_that_does_not_answer_is_asked_once(fresh, tmp_path, monkeypa
 
 
 def test_what_a_compiler_started_ends_with_it(fresh, tmp_path, monkeypatch):  # noqa: F811
-    monkeypatch.setattr(compiler, "ANSWERS", 0.5)
+    monkeypatch.setattr(libraries, "ANSWERS", 0.5)
     monkeypatch.setenv("CC", written(tmp_path / "mine", f"sleep 60 & echo $! > {tmp_path}/pid\nwait"))
     with pytest.raises(CompilerError, match="no answer"):
         answer()

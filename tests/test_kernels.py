@@ -16,7 +16,7 @@ from test_new_robots import scara
 from casacal import DialOnPlane, Parameter, Problem, Robot, bind, calibrate, ekf, lm, load_problem, sckf, simulate
 from casacal.errors import ProblemError
 from casacal.kernels import backend as backends
-from casacal.kernels import compiler, libraries
+from casacal.kernels import libraries
 from casacal.kernels.backend import row_kernels
 from casacal.kernels.program import NUMPY, C, evaluate, name_of, read_program
 from casacal.least_squares.losses import huber
@@ -256,10 +256,10 @@ def fresh(tmp_path, monkeypatch):
     """An empty cache, and no memory of compilers or notices."""
     monkeypatch.setenv("CASACAL_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "user"))
-    compiler._asked.cache_clear()
+    libraries._asked.cache_clear()
     backends._notice.cache_clear()
     yield tmp_path / "cache"
-    compiler._asked.cache_clear()
+    libraries._asked.cache_clear()
     backends._notice.cache_clear()
 
 
@@ -307,16 +307,16 @@ def test_a_compiler_that_does_not_know_all_options_is_asked_for_less(hsr, fresh,
 
 
 def test_a_compiler_of_macos_that_only_offers_xcode_is_none(monkeypatch):
-    monkeypatch.setattr(compiler, "MACOS", True)
+    monkeypatch.setattr(libraries, "MACOS", True)
     asked = []
 
     def run(command, **_):
         asked.append(command[0])
         return subprocess.CompletedProcess(command, 2)
 
-    monkeypatch.setattr(compiler.subprocess, "run", run)
-    assert compiler._is_stub("/usr/bin/clang")
-    assert not compiler._is_stub("/opt/homebrew/bin/gcc")
+    monkeypatch.setattr(libraries.subprocess, "run", run)
+    assert libraries._is_stub("/usr/bin/clang")
+    assert not libraries._is_stub("/opt/homebrew/bin/gcc")
     assert asked == ["xcode-select"]  # the stub itself, which would open a window, is not run
 
 

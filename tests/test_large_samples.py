@@ -8,8 +8,7 @@ import pytest
 
 from casacal import bind
 from casacal.errors import SamplesError
-from casacal.samples.layout import Layout
-from casacal.samples.samples import Samples
+from casacal.samples.samples import Layout, Samples
 from casacal.tables.columns import Labels, combinations
 from casacal.tables.read import read_columns
 from casacal.tables.text import read_table

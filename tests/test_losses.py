@@ -28,7 +28,7 @@ from casacal.estimators import nlpsol, sckf_lm
 from casacal.estimators.ipopt_objective import Objective
 from casacal.estimators.population import Search
 from casacal.least_squares.losses import worth_under
-from casacal.study.metering import Metered
+from casacal.study.trial import Metered
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
 LOSSES = [huber(), tukey(4.0)]

@@ -26,7 +26,7 @@ from casacal.measuring.session import Session
 from casacal.measuring.touch import Touch
 from casacal.measuring.touch_file import TouchFile
 from casacal.measuring.typed import command_of, help_words, touch_of
-from casacal.planning.written import plan_text, write_plan
+from casacal.planning.plan import plan_text, write_plan
 
 pty = pytest.importorskip("pty")
 HSR = ROOT / "problems" / "hsr_jr680"

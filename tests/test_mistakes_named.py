@@ -8,11 +8,9 @@ import pytest
 
 from casacal import DialOnPlane, Problem, SimulationError, Step, calibrate, check, load_problem, plan, simulate
 from casacal.calibration.verdict import verdict_of
-from casacal.checks.causes import _Attempt, _to_the_end
+from casacal.checks.before_fit import odd_labels, outside, tells_a_wrong_sign
+from casacal.checks.faults import _Attempt, _to_the_end
 from casacal.checks.finding import Fault, Undone, misfit
-from casacal.checks.labels import odd_labels
-from casacal.checks.rows import outside
-from casacal.checks.setup import tells_a_wrong_sign
 from casacal.errors import CasacalError
 from casacal.tables.columns import Labels
 from studies.cell_mistakes import PROBLEMS

@@ -15,8 +15,7 @@ from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.least_squares.linalg import determined
 from casacal.samples.repeats import copies_of
-from casacal.samples.samples import Samples
-from casacal.samples.write import write_samples
+from casacal.samples.samples import Samples, write_samples
 from casacal.tables.columns import Labels
 from casacal.uncertainty.figures import effective_unknowns, leverages, noise_interval
 from casacal.uncertainty.noise import found_noise

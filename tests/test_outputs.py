@@ -19,8 +19,7 @@ from hears_signals import hears_signals
 
 from casacal import CasacalError
 from casacal.calibration.result_json import FILES
-from casacal.cli.interrupts import heard
-from casacal.cli.main import main
+from casacal.cli.main import heard, main
 from casacal.files import PREFIX, check_writable, mark_of_this_run, side_by_side, together, write_text
 
 HSR = ROOT / "problems" / "hsr_jr680"

@@ -14,14 +14,11 @@ from instruments_on_ur5 import PROBLEMS
 from casacal import CasacalError, bind, calibrate, load_problem, simulate
 from casacal.cli.main import main
 from casacal.least_squares.linalg import posterior_covariance
-from casacal.planning.choice import pool_of
-from casacal.planning.exchange import error_of, exchange
-from casacal.planning.how_many import touches_for
-from casacal.planning.plan import kept_to_verify, plan
+from casacal.planning.choice import error_of, exchange, pool_of
+from casacal.planning.plan import kept_to_verify, plan, plan_text, touches_for
 from casacal.planning.route import AGAIN, CHECK, FIT, read_route, shortest_way
 from casacal.planning.set_ups import SetUp, worth_most
-from casacal.planning.written import plan_text
-from casacal.robots.joint_space import AXIS_WEIGHT
+from casacal.robots.robot import AXIS_WEIGHT
 from casacal.uncertainty.expectation import accuracy_in_box, planned_accuracy
 from casacal.uncertainty.workspace import tip_rms, tip_stds, up_to_base, without_rigid, workspace_joints
 

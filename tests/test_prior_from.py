@@ -36,7 +36,7 @@ from casacal.files import write_json
 from casacal.least_squares.gaussian import Gaussian
 from casacal.least_squares.losses import huber
 from casacal.least_squares.objective import LeastSquares
-from casacal.samples.write import write_samples
+from casacal.samples.samples import write_samples
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
 HSR = str(ROOT / "problems" / "hsr_jr680")

@@ -10,8 +10,7 @@ from conftest import ROOT
 
 from casacal import calibrate
 from casacal.errors import SamplesError
-from casacal.samples.samples import Layout, Samples
-from casacal.samples.write import write_samples
+from casacal.samples.samples import Layout, Samples, write_samples
 
 LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",), {"force": "no force is measured"})
 GOOD = """# a comment

@@ -10,10 +10,9 @@ from openpyxl import Workbook
 
 from casacal.cli.main import main
 from casacal.errors import SamplesError
-from casacal.samples.layout import Layout
-from casacal.samples.samples import Samples
+from casacal.samples.samples import Layout, Samples
+from casacal.tables.read import read_workbook
 from casacal.tables.text import joined_tables, read_table
-from casacal.tables.workbooks import read_workbook
 
 LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",))
 HEADER = ["q1_deg", "q2_mm", "reading_mm", "plane", "when"]

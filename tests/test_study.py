@@ -19,7 +19,7 @@ from conftest import ROOT
 from casacal import Method, Simulated, Study, lm, sckf, swarm
 from casacal.cli.main import main
 from casacal.errors import StudyError
-from casacal.study.records import appending, merged, read_records, records_digest, to_line
+from casacal.study.description import appending, merged, read_records, records_digest, to_line
 from casacal.study.runs import RECORDS, merge, open_run, run
 from casacal.study.trial import Task, perform
 
@@ -113,7 +113,7 @@ def test_a_cluster_of_two_workers_makes_the_same_records(serial, tmp_path, monke
 
 def test_no_scheduler_is_said(tmp_path, monkeypatch):
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
-    monkeypatch.setattr("casacal.study.executors.CONNECT_SECONDS", 1)
+    monkeypatch.setattr("casacal.study.runs.CONNECT_SECONDS", 1)
     with pytest.raises(StudyError, match="No Dask scheduler answers"):
         run(tiny_study.study, tmp_path, file=TINY, scheduler="tcp://127.0.0.1:9")
 
@@ -145,7 +145,7 @@ def test_a_run_killed_again_and_again_ends_with_the_same_records(serial, tmp_pat
 @pytest.mark.long
 def test_workers_end_with_the_process_that_is_killed(tmp_path):
     (tmp_path / "naps.py").write_text(
-        "import os, sys, time\nfrom pathlib import Path\nfrom casacal.study.executors import in_processes\n"
+        "import os, sys, time\nfrom pathlib import Path\nfrom casacal.study.runs import in_processes\n"
         "def nap(path):\n    Path(path).write_text(str(os.getpid()))\n    time.sleep(60)\n"
         "if __name__ == '__main__':\n    list(in_processes(nap, sys.argv[1:], 2))\n"
     )
@@ -380,7 +380,7 @@ def test_without_flock_a_lock_of_windows_is_taken(tmp_path, monkeypatch):
     """On Windows: the file is opened without translation of line ends, and a byte far beyond its end is locked."""
     from types import SimpleNamespace
 
-    from casacal.study import records
+    from casacal.study import description as records
 
     locked = []
     fake = SimpleNamespace(LK_NBLCK=2, locking=lambda handle, mode, size: locked.append((mode, size)))

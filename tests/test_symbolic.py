@@ -27,7 +27,7 @@ from casacal import (
 from casacal.errors import ProblemError
 from casacal.estimators.sckf import Belief, cubature_update
 from casacal.least_squares.objective import LeastSquares
-from casacal.study.metering import Metered
+from casacal.study.trial import Metered
 
 IPOPT = ("ipopt", {"print_time": False}, {"print_level": 0, "sb": "yes"})
 SILENT = {"print_header": False, "print_iteration": False, "print_status": False, "print_time": False}

@@ -30,10 +30,9 @@ from casacal import (
 from casacal.calibration.page.touches import Touches
 from casacal.calibration.verdict import verdict_of
 from casacal.discrepancy import Drift, with_kit
-from casacal.instruments.orientations import QUATERNION, Orientation
-from casacal.instruments.tracked_pose import chord
+from casacal.instruments.tracked_pose import QUATERNION, Orientation, chord
 from casacal.kinematics import position
-from casacal.unknowns.fits import hand_eye
+from casacal.unknowns.geometry import hand_eye
 
 problem = PROBLEMS["TrackedPose"]
 SIX = Frame(np.eye(4), prior_std=(1e-3, 1.0))

@@ -21,7 +21,7 @@ from casacal.checks import Finding, set_aside
 from casacal.checks.set_aside import gross
 from casacal.cli.main import main
 from casacal.least_squares.losses import huber
-from casacal.samples.write import write_samples
+from casacal.samples.samples import write_samples
 from casacal.tables.columns import Labels
 from casacal.uncertainty.prior_moves import PriorScatter, prior_scatter
 from casacal.uncertainty.workspace import tip_rms, without_rigid

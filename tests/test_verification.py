@@ -34,9 +34,8 @@ from casacal.compensation.arm import CalibratedArm
 from casacal.errors import SamplesError, UnknownNameError
 from casacal.estimators import lm
 from casacal.files import jsonable, write_json
-from casacal.samples.layout import Layout
 from casacal.samples.repeats import MOST, copies, fitted_among, is_listing, listing
-from casacal.samples.samples import joined
+from casacal.samples.samples import Layout, joined
 from casacal.uncertainty.fresh_rows import FreshRows, chance, learnt
 from casacal.verification.verification import LEVEL
 

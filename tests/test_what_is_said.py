@@ -16,12 +16,12 @@ from casacal.calibration.saved import SavedCalibration
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.compensation.arm import CalibratedArm
-from casacal.fieldwork import approaches as ways_of
+from casacal.fieldwork import handouts as ways_of
 from casacal.fieldwork.handouts import program_text
 from casacal.measuring.examine import Alarm, SessionState, Suspected
+from casacal.planning.plan import told
 from casacal.planning.set_ups import SetUp
-from casacal.planning.written import told
-from casacal.samples.write import write_samples
+from casacal.samples.samples import write_samples
 from casacal.wording import with_spread
 
 HSR = ROOT / "problems" / "hsr_jr680"

@@ -26,9 +26,8 @@ from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import DampedStep, ExtendedPass, FilterPass, LeastSquares, Normal
 from casacal.problem.problem import Problem
 from casacal.problem.term import Survey
-from casacal.samples.measurements import Measurements, sets_of
 from casacal.samples.repeats import Repeats, repeats_in
-from casacal.samples.samples import Samples
+from casacal.samples.samples import Measurements, Samples, sets_of
 from casacal.tables.columns import Labels
 from casacal.threads import thread_count
 from casacal.values import EMPTY, FrozenMapping, alike, read_only, short

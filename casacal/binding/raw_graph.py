@@ -14,8 +14,7 @@ import numpy as np
 from casacal.array_types import Array, Index
 from casacal.binding.blocks import Block
 from casacal.binding.slots import Slot
-from casacal.kernels.batch import Buffered
-from casacal.kernels.block_rows import CurvatureKernel
+from casacal.kernels.block_rows import Buffered, CurvatureKernel
 from casacal.kernels.rows import Lanes
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares

@@ -30,9 +30,8 @@ from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
 from casacal.samples.holdout import split_each
-from casacal.samples.measurements import Measurements
 from casacal.samples.repeats import without_copies
-from casacal.samples.samples import Samples
+from casacal.samples.samples import Measurements, Samples
 from casacal.uncertainty.discrepancy import with_effects
 from casacal.uncertainty.noise import found_noise
 

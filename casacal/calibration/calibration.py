@@ -19,21 +19,17 @@ from casacal.calibration.metrics import Metrics, metrics_of, parts_of
 from casacal.calibration.motion import Motion, Tried, among, used_arm
 from casacal.calibration.sensitivity import Sensitivity, sensitivity
 from casacal.checks import Finding, check
-from casacal.checks.check import labels_alike
-from casacal.checks.fitted_faults import tool_elsewhere_at
-from casacal.checks.numbers import wrong_number, wrong_scale
-from casacal.checks.rows import outside, repeated, rounded
-from casacal.checks.setup import sign_before_fit
-from casacal.checks.several import not_the_same
+from casacal.checks.before_fit import outside, repeated, rounded, sign_before_fit
+from casacal.checks.check import labels_alike, not_the_same
+from casacal.checks.numbers import tool_elsewhere_at, wrong_number, wrong_scale
 from casacal.errors import CasacalError
 from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.least_squares.result import Result
 from casacal.planning.cures import Cure, cure_for, cures
 from casacal.problem.problem_file import ProblemFile
-from casacal.samples.measurements import Measurements
 from casacal.samples.repeats import copies_of
-from casacal.samples.samples import Samples
+from casacal.samples.samples import Measurements, Samples
 from casacal.uncertainty.discrepancy import DialError, EffectSize, dial_errors, effect_sizes_of, errors_are_shared
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
 from casacal.uncertainty.figures import HALF_WEIGHT

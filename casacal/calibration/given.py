@@ -16,8 +16,7 @@ from casacal.least_squares.losses import Loss
 from casacal.least_squares.result import Result, Status, as_result
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile, load_problem
-from casacal.samples.measurements import Measurements
-from casacal.samples.samples import Samples
+from casacal.samples.samples import Measurements, Samples
 from casacal.tables.read import is_frame
 from casacal.values import Value
 

@@ -22,8 +22,7 @@ from casacal.errors import CasacalError, SamplesError, came
 from casacal.files import jsonable
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
-from casacal.robots.joint_space import random_joints
-from casacal.robots.robot import Robot
+from casacal.robots.robot import Robot, random_joints
 from casacal.samples.repeats import copies, fitted_among, in_fitted_postures
 from casacal.samples.samples import Samples
 from casacal.wording import counted, listed

@@ -24,10 +24,8 @@ from casacal.errors import CasacalError
 from casacal.files import MADE, side_by_side, together, write_json, write_text
 from casacal.least_squares.result import Result, Status
 from casacal.problem.problem_file import ProblemFile
-from casacal.samples.measurements import Measurements
 from casacal.samples.repeats import listing
-from casacal.samples.samples import Samples
-from casacal.samples.write import write_samples
+from casacal.samples.samples import Measurements, Samples, write_samples
 from casacal.simulation.simulate import Simulation
 from casacal.uncertainty.expectation import Box
 from casacal.uncertainty.identifiability import correlated_pairs

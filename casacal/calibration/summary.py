@@ -11,7 +11,7 @@ from casacal.calibration.calibration import Calibration
 from casacal.calibration.told import verdict_lines
 from casacal.calibration.verdict import verdict_of
 from casacal.errors import CasacalError
-from casacal.samples.measurements import Measurements
+from casacal.samples.samples import Measurements
 from casacal.version import __version__
 from casacal.wording import METRE, chance, counted, listed, lower, mm
 

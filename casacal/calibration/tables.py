@@ -13,7 +13,7 @@ from casacal.calibration.calibration import NOT_NEEDED, Calibration
 from casacal.calibration.metrics import parts_of
 from casacal.calibration.motion import tip_error
 from casacal.calibration.result_parts import parameter_rows
-from casacal.pages.render import fixed, mm, shortened, shown_unit
+from casacal.pages.drawing import fixed, mm, shortened, shown_unit
 from casacal.uncertainty.identifiability import NullDirection, WeakDirection, correlated_pairs
 from casacal.wording import capital, listed, sized
 

@@ -32,8 +32,7 @@ from casacal.least_squares.linalg import svd
 from casacal.planning.choice import drawn_touch, pool_of
 from casacal.planning.route import FIT, postures_text, shortest_way
 from casacal.problem.problem import Problem
-from casacal.samples.layout import Layout
-from casacal.samples.samples import Samples
+from casacal.samples.samples import Layout, Samples
 from casacal.simulation.cell import Cell, Face
 from casacal.uncertainty.fresh_rows import chance, covariance_root, likelihood, occam
 

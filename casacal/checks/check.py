@@ -1,34 +1,158 @@
-"""All the doctor's checks in order: the rows, the set-up, systematic faults, single rows, the noise."""
+"""All the doctor's checks in order: the rows, the set-up, systematic faults, single rows, the noise, the effects."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array, Index
 from casacal.binding.bound_problem import BoundProblem, bind, each_alone
-from casacal.checks.beside_geometry import beside_geometry
-from casacal.checks.causes import ALIKE, EXPLAINED, SUSPICIOUS, MisfitCause, explained
-from casacal.checks.faults import flips
-from casacal.checks.finding import Finding, misfit, quick_fit
-from casacal.checks.fitted_faults import tool_elsewhere_at, tool_keys
-from casacal.checks.labels import LABELS_ALIKE, absent_labels, lost_steps, odd_labels
-from casacal.checks.numbers import without_its_likes, wrong_number, wrong_scale
-from casacal.checks.outliers import robust_fit, single_rows, studentised_outliers
-from casacal.checks.rows import OUTSIDE, outside, repeated, rounded
-from casacal.checks.set_aside import off_their_face
-from casacal.checks.setup import NO_LENGTH, WRONG_SIGN, enough_rows, setup_findings, sign_before_fit, upside_down
-from casacal.checks.several import contradictions
+from casacal.checks.before_fit import (
+    LABELS_ALIKE,
+    NO_LENGTH,
+    OUTSIDE,
+    WRONG_SIGN,
+    absent_labels,
+    enough_rows,
+    lost_steps,
+    odd_labels,
+    outside,
+    repeated,
+    rounded,
+    setup_findings,
+    sign_before_fit,
+    upside_down,
+)
+from casacal.checks.faults import ALIKE, EXPLAINED, SUSPICIOUS, MisfitCause, explained, flips
+from casacal.checks.finding import Finding, freed_of_unknowns, misfit, quick_fit, weighted
+from casacal.checks.numbers import tool_elsewhere_at, tool_keys, without_its_likes, wrong_number, wrong_scale
+from casacal.checks.set_aside import off_their_face, robust_fit, single_rows, studentised_outliers
 from casacal.errors import CasacalError, came
 from casacal.estimators import lm
+from casacal.least_squares.linalg import svd
+from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
-from casacal.samples.measurements import Measurements
 from casacal.samples.repeats import without_copies
-from casacal.samples.samples import Samples
-from casacal.uncertainty.figures import noise_interval
+from casacal.samples.samples import Measurements, Samples
+from casacal.uncertainty.discrepancy import dial_errors, effect_sizes_of, with_effects
+from casacal.uncertainty.figures import chance_beyond, noise_interval
+from casacal.uncertainty.noise import found_noise
 from casacal.uncertainty.prior_moves import prior_scatter
-from casacal.wording import listed, times
+from casacal.wording import listed, mm, sized, times
+
+COUNTED = "Calibrate anyway: the kit of effects accounts for this"
+
+FIXES = {
+    "gain": "Declare gain=dial_gain(0.15), or give its certificate",
+    "cycle": "Declare cycle=dial_cycle(3), or use another dial",
+    "form": "Clean the faces, or use a better plate",
+    "play": "Approach every touch from the same side",
+    "give": f"{COUNTED}. Measure with the load that the arm will carry",
+    "wave1": COUNTED,
+    "wave2": COUNTED,
+    "field": "Look for causes that depend on posture, such as hoses, cables or a soft base",
+    "drift": "Let the dial warm up, fasten it and the faces, and repeat one touch from time to time",
+    "growth": "Let the arm warm up by running its production program before measuring",
+}
+
+OTHERWISE = "Look for its cause, or declare it as an effect of the problem"
+
+
+def beside_geometry(problem: Problem, samples: Samples) -> list[Finding]:
+    """Warnings of what the rows show beside the geometry, with noise and sizes as `calibrate` finds them.
+
+    In blocks, as nothing is worth compiling for one look.
+    """
+    bound = bind(problem.without_terms, samples, backend="blocks")
+    bound = with_effects(bound.with_noise(found_noise(bound).scale), problem)
+    fit = lm(bound)
+    if not fit.converged:
+        return []
+    found: dict[str, Finding] = {}
+    for key, words, evidence, size in _shown(bound, fit.x):
+        fix = FIXES.get(key, OTHERWISE)
+        cause = f"the rows show it ({evidence}): its most likely size is {size}"
+        found.setdefault(fix, Finding("warning", words, cause, fix))  # one that calls for the same says no more
+    return list(found.values())
+
+
+def _shown(bound: BoundProblem, x: Array) -> Iterator[tuple[str, str, str, str]]:
+    """Key, words, evidence and size of what rows show at the minimum x (n,): of the dial, and of the arm."""
+    for error in dial_errors(bound, x):
+        if error.shown:
+            size = f"{error.shown_size}, which moves the tip by {error.tip_mm:.2g} mm RMS"
+            yield error.key, error.words, f"p = {error.chance:.1g}", size
+    for each in effect_sizes_of(bound, x):
+        if each.shown and each.size > each.expected_size:
+            yield each.key, each.words, f"log likelihood {each.gain:+.0f}", sized(each.size, each.unit)
+
+
+APART = 1.5
+"""Times the misfit of the instrument that fits worst alone, beyond which all together contradict one another."""
+
+BY_CHANCE = 1e-4  # chance of a difference, and more, of what is one and the same
+DULL = 1e-3  # whitened effect of a difference as large as the prior's, below which rows do not see it
+
+
+def contradictions(bound: BoundProblem, measured: Measurements) -> list[Finding]:
+    """An error where each instrument fits by itself and all together do not, or not with what they share."""
+    problem = bound.problem
+    together = misfit(problem, measured)
+    sizes = {each.name: misfit(each.problem, each.samples) for each in each_alone(problem, measured.sets)}
+    worst = max((size for size in sizes.values() if math.isfinite(size)), default=1.0)
+    if together <= max(APART * worst, SUSPICIOUS):
+        if not problem.shared:
+            return []
+        fit = with_effects(bound.with_noise(found_noise(bound).scale), problem)
+        return not_the_same(fit, lm(fit))
+    shared = "".join(f"; '{key}' is declared as the same for {' and '.join(by)}" for key, by in problem.shared.items())
+    cause = (
+        f"each fits alone (residuals up to {times(worst)} times the stated noise), but not together "
+        f"({times(together)} times){shared}"
+    )
+    fix = (
+        "Check that arm, tool and base were the same for all, and that what is declared as shared is one and the "
+        "same; too small a stated noise of one instrument can also be the cause"
+    )
+    return [Finding("error", "instruments contradict each other", cause, fix)]
+
+
+def not_the_same(bound: BoundProblem, result: Result) -> list[Finding]:
+    """An error for what is declared as shared and differs between instruments, at the estimate of all their rows.
+
+    An instrument that had one of its own would see it by the derivative of its own rows. The fall of chi-square by such
+    a difference, all unknowns following within their priors, has as many degrees of freedom as directions show.
+    """
+    owners = np.searchsorted(np.cumsum([len(some) for some in bound.samples]), bound.sample_of, side="right")
+    found = []
+    for key, names in bound.problem.shared.items():
+        slots = [slot for slot in bound.slots if slot.key == key and slot.unknown.size]
+        columns = np.array([j for slot in slots for j in slot.columns], dtype=np.intp)
+        if not columns.size or not result.converged:
+            continue
+        scale, slopes = bound.start_std[columns], bound.jacobian(result.x)[:, columns]
+        own = [np.where(owners == bound.problem.number(name), 1.0, 0.0)[:, None] * slopes * scale for name in names[1:]]
+        left, sizes, along = svd(freed_of_unknowns(bound, result, np.hstack(own)))
+        seen = sizes > DULL
+        gains = left[:, seen].T @ weighted(bound, result, bound.residual(result.x))
+        if not seen.any() or chance_beyond(float(gains @ gains), float(seen.sum())) > BY_CHANCE:
+            continue
+        apart = (-(along[seen].T @ (gains / sizes[seen]))).reshape(len(names) - 1, -1) * scale
+        label = [name for slot in slots for name in slot.unknown.names(slot.name)]
+        far = np.unravel_index(int(np.argmax(np.abs(apart / scale))), apart.shape)
+        by, unit = abs(float(apart[far])), bound.units[columns[far[1]]]
+        cause = (
+            f"'{key}' is declared as the same for {listed(names)}, and is not: {label[far[1]]} of {names[1 + far[0]]} "
+            f"is "
+            f"{mm(by) if unit == 'mm' else sized(by, unit)} away from that of {names[0]}"
+        )
+        fix = f"Measure again with the same for all, or leave '{key}' out of `shared`: then each has its own"
+        found.append(Finding("error", f"{key} not the same", cause, fix))
+    return found
+
 
 MOST_ROWS = 600  # rows used to look for systematic faults; more add time, not insight
 OF_A_FACE = 12  # rows of a face, where faces are many, that tell of systematic faults
@@ -132,7 +256,7 @@ def _few_of_each_face(problem: Problem, samples: Samples) -> Samples:
     return samples.take(np.sort(np.concatenate(kept)))
 
 
-def _evenly(count: int, most: int) -> NDArray[np.intp]:
+def _evenly(count: int, most: int) -> Index:
     """Places of so many of `count` things, evenly over all; all where there are fewer."""
     return np.unique(np.linspace(0, count - 1, most).astype(np.intp))
 

@@ -16,8 +16,7 @@ from casacal.estimators import lm
 from casacal.least_squares.losses import huber
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
-from casacal.samples.measurements import Measurements
-from casacal.samples.samples import Samples
+from casacal.samples.samples import Measurements, Samples
 from casacal.wording import numbered_lines
 
 Severity = Literal["error", "warning", "remark"]
@@ -114,3 +113,16 @@ def misfit(
     squares = np.sort(bound.residual(result.x) ** 2)[: math.ceil(KEPT * bound.rows)]
     size = math.sqrt(float(squares.mean()) / OF_NORMAL + 2 * bound.prior_cost(result.x) / bound.rows)
     return size if math.isfinite(size) else math.inf
+
+
+def weighted(bound: BoundProblem, result: Result, residual: Array) -> Array:
+    """Residuals (rows + n,) of a robust fit as weighted, the prior's behind them."""
+    return np.concatenate([np.sqrt(result.weights) * residual, bound.prior_rows @ (result.x - bound.x0)])
+
+
+def freed_of_unknowns(bound: BoundProblem, result: Result, slopes: Array) -> Array:
+    """Slopes (rows + n, k) of residuals (rows, k) as weighted, without what unknowns can follow, priors included."""
+    root = np.sqrt(result.weights)[:, None]
+    unknowns = np.vstack([root * bound.jacobian(result.x), bound.prior_rows])
+    left = np.vstack([root * slopes, np.zeros((len(bound.prior_rows), slopes.shape[1]))])
+    return np.asarray(left - unknowns @ np.linalg.lstsq(unknowns, left, rcond=None)[0])

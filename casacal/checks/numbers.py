@@ -1,9 +1,9 @@
-"""One number of the arm that is another than the problem says, such as a lost zero; or all lengths, by one part."""
+"""Numbers that are others than the problem says: where the tool is, one of the arm, or all lengths by one part."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -13,7 +13,7 @@ from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.noise_scale import times
 from casacal.binding.seen import Seen
 from casacal.checks.finding import Fault, Finding, Undone, quick_fit
-from casacal.checks.fitted_faults import as_good, priors_of, tool_keys
+from casacal.errors import CasacalError
 from casacal.estimators import lm
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
@@ -23,10 +23,99 @@ from casacal.uncertainty.discrepancy import with_effects
 from casacal.uncertainty.effect_sizes import evidence, told
 from casacal.uncertainty.figures import noise_interval
 from casacal.uncertainty.noise import found_noise
-from casacal.uncertainty.prior_moves import DULL
+from casacal.uncertainty.prior_moves import DULL, chance_of_move
 from casacal.uncertainty.workspace import tip_rms, tip_stds, without_rigid, workspace_joints
 from casacal.unknowns import Parameter
 from casacal.wording import listed
+
+
+def tool_keys(problem: Problem) -> list[str]:
+    """Lengths of the instrument that say where its tip is; none for an instrument without one."""
+    probe, unknowns = problem.instrument.probe, problem.instrument.unknowns
+    moves = () if probe is None else probe.moves
+    return [key for key in moves if isinstance(found := unknowns.get(key), Parameter) and found.unit == "mm"]
+
+
+MEASURED = 1.0  # standard deviation, mm, with which people measure a tool
+TOLD = 4.5  # cost, in units of the noise, by which rows tell two causes apart: three standard deviations
+
+
+def priors_of(problem: Problem) -> Iterator[tuple[str, str, float, str]]:
+    """Name, key, prior and unit of every free number of the arm that has a finite one."""
+    for key, unknown in problem.robot.parameters.items():
+        if isinstance(unknown, Parameter):
+            for name, std, unit in zip(unknown.names(key), unknown.prior_stds, unknown.units, strict=True):
+                if math.isfinite(std):
+                    yield name, key, float(std), unit
+
+
+def as_good(bound: BoundProblem, groups: Mapping[str, Sequence[str]], freed: Result) -> dict[str, str]:
+    """Of groups of unknowns by title those that explain rows as well as a fit with something freed, and by how much.
+
+    bound: the rows with every prior as stated. Each group is fitted with its own priors away.
+    """
+    found, cost = dict[str, str](), freed.cost + TOLD * max(noise_interval(freed)[0], 1.0) ** 2
+    for title, keys in groups.items():
+        try:
+            other = bind(bound.problem.free(*keys).with_prior(dict.fromkeys(keys, math.inf)), *bound.samples)
+            fitted = lm(other)
+        except CasacalError:  # nothing of it can be freed
+            continue
+        if fitted.converged and fitted.cost <= cost:
+            parts = tuple(f"{key}{sign}" for key in keys for sign in "_.")
+            rows = [j for j, each in enumerate(other.names) if each in keys or each.startswith(parts)]
+            far = max(rows, key=lambda j: abs(fitted.x[j]))
+            found[title] = f"{other.names[far]} by {fitted.x[far]:+.3g} {other.units[far]}"
+    return found
+
+
+def alike_numbers(bound: BoundProblem, keys: Sequence[str]) -> dict[str, str]:
+    """Numbers of the arm that explain rows as well as the tool (its keys) elsewhere does, and by how much."""
+    problem = bound.problem.free(*keys)
+    freed = lm(bind(problem.with_prior(dict.fromkeys(keys, math.inf)), *bound.samples))
+    if problem.free_names() != bound.problem.free_names():  # a tool that is held is yet no better than one measures it
+        bound = bind(problem.with_prior(dict.fromkeys(keys, MEASURED)), *bound.samples)
+    return as_good(bound, {name: [name] for name, *_ in priors_of(bound.problem)}, freed)
+
+
+CHANCE_OF_MOVE = 1e-3  # chance that a tool as stated moves so far, all its components together
+
+FAR = 2.0
+"""Prior standard deviations that a component must move: where the model is wrong, small moves look improbable, too."""
+
+
+def tool_elsewhere_at(bound: BoundProblem, x: Array, covariance: Array) -> list[Finding]:
+    """A warning where the tool moved far beyond its prior in a fit, at its estimate (n,) with the covariance (n, n).
+
+    Nothing for a held tool, or for one without a prior.
+    """
+    moves = {
+        full[key]
+        for instrument, full in zip(bound.problem.instruments, bound.problem.full_names, strict=True)
+        if (probe := instrument.probe) is not None
+        for key in probe.moves
+    }
+    named = {
+        name: j
+        for slot in bound.slots
+        if slot.key in moves
+        for name, j, unit in zip(slot.unknown.names(slot.name), slot.columns, slot.unknown.units, strict=True)
+        if unit == "mm" and np.isfinite(bound.prior_std[j])
+    }
+    own = np.array(list(named.values()), dtype=np.intp)
+    far = (np.abs(x[own]) > FAR * bound.prior_std[own]).any()
+    if not far or chance_of_move(bound, x, covariance, own) > CHANCE_OF_MOVE:
+        return []
+    moved = ", ".join(f"{name} by {x[j]:+.2f} mm (its prior: {bound.prior_std[j]:.2g})" for name, j in named.items())
+    cause = f"the samples put the tool in another place than the problem file does: {moved}"
+    fix = "Measure the tool again, and correct its position or prior in the problem file"
+    if others := alike_numbers(
+        bound, [slot.key for slot in bound.slots if slot.key in moves and "mm" in slot.unknown.units]
+    ):
+        cause += f"; or {'; '.join(others.values())}, which these samples cannot tell from it"
+        fix = f"Measure the tool from the flange first; only if it is as stated, look at {listed(list(others), 'or')}"
+    return [Finding("warning", "tool elsewhere", cause, fix)]
+
 
 WIDE = {"rad": 0.1, "mm": 20.0}  # smallest prior under which `calibrate` tries another number, by unit
 TWISTS = "alpha", "beta"  # angles of a DH table that no mastering moves

@@ -12,17 +12,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.adjust import add_adjustments, adjusted, adjustments, names_of, numbers_of
 from casacal.cli.common import (
     DONE,
     FAILED,
     JSON,
     PROBLEM,
     add,
+    add_adjustments,
     add_samples,
+    adjusted,
+    adjustments,
     box_of,
     check_folder,
     made_from,
+    names_of,
+    numbers_of,
     read_samples,
     sample_files,
     spare,

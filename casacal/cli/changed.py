@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from casacal.cli.adjust import names_of, numbers_of
 from casacal.cli.common import (
     DONE,
     FAILED,
@@ -14,6 +13,8 @@ from casacal.cli.common import (
     add_fresh_rows,
     fresh_rows,
     made_from,
+    names_of,
+    numbers_of,
     spare,
     whole_number,
 )

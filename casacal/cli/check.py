@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict
 
-from casacal.cli.adjust import add_adjustments, adjusted
-from casacal.cli.common import DONE, FAILED, JSON, PROBLEM, add, add_samples, read_samples
+from casacal.cli.common import DONE, FAILED, JSON, PROBLEM, add, add_adjustments, add_samples, adjusted, read_samples
 from casacal.cli.terminal import say_json, say_paragraphs
 
 HELP = "find mistakes in samples before fitting"

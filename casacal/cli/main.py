@@ -1,14 +1,16 @@
-"""The command line's entry point: commands by name, refusals in one line, exit codes."""
+"""The command line's entry point: commands by name, refusals in one line, exit codes, interrupts that are heard."""
 
 from __future__ import annotations
 
 import argparse
 import re
 import shlex
+import signal
 import sys
+import threading
 import warnings
-from collections.abc import Sequence
-from typing import NoReturn
+from collections.abc import Callable, Sequence
+from typing import Any, NoReturn
 
 from casacal.cli import (
     bench,
@@ -30,11 +32,59 @@ from casacal.cli import (
     verify,
 )
 from casacal.cli.common import BAD_INPUT, DONE, INTERRUPTED
-from casacal.cli.interrupts import heard
 from casacal.cli.terminal import complain, finish, prepare, words_beside
 from casacal.errors import CasacalError
 from casacal.threads import one_thread_each
 from casacal.version import __version__
+
+AGAIN = 0.1  # seconds after which an interrupt that ended nothing is raised once more
+
+
+def heard(run: Callable[[], int]) -> int:
+    """Run a command; an interrupt is raised again until it ends that, but not in what tidies up after it.
+
+    Raises KeyboardInterrupt, also where the command went on to its end: what it says then may be wrong. Where there
+    are no alarms (Windows), in a thread, and where others handle or ignore interrupts, all stays as it is.
+    """
+    if sys.platform == "win32" or threading.current_thread() is not threading.main_thread():
+        return run()
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        return run()
+    came = over = False
+
+    def interrupt(*_: Any) -> NoReturn:
+        nonlocal came
+        came = True
+        signal.signal(signal.SIGALRM, remind)
+        signal.setitimer(signal.ITIMER_REAL, AGAIN, AGAIN)
+        raise KeyboardInterrupt
+
+    def remind(*_: Any) -> None:
+        if not (over or _tidying_up()):  # an alarm that was due as the run ended comes once it is over
+            signal.raise_signal(signal.SIGINT)  # to whoever handles it now: it waits while files take their places
+
+    before = signal.getsignal(signal.SIGALRM)
+    signal.signal(signal.SIGINT, interrupt)
+    try:
+        code = run()
+    finally:
+        over = True
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        if came:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.signal(signal.SIGALRM, before)
+    if came and code != INTERRUPTED:
+        raise KeyboardInterrupt
+    return code
+
+
+def _tidying_up() -> bool:
+    """Whether what runs now is a `finally`, `except` or `with` that an interrupt passes."""
+    error = sys.exception()
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error is not None
+
 
 LISTED = (plan, measure, calibrate, simulate, check, doctor, predict, verify, changed, compensate, study, bench, new)
 COMMANDS = {module.__name__.rpartition(".")[2]: module for module in (*LISTED, export, demo, schema, completion)}
@@ -109,7 +159,11 @@ def _caught(typed: list[str]) -> int:
         if getattr(options, "out", None) == "-":
             raise CasacalError("--out - names no file", "Standard output is /dev/stdout, a file of that name ./-")
         options.typed, options.parser = shlex.join(["casacal", *typed]), parser
-        return _answer(options)
+        try:
+            with words_beside(getattr(options, "out", None)):
+                return heard(lambda: int(options.run(options)))
+        except SystemExit as end:
+            raise CasacalError("Code of the problem's own ends the program (sys.exit)", "Take that out of it") from end
     except CasacalError as error:
         complain(" ".join(str(error).split()))
         return BAD_INPUT
@@ -132,11 +186,3 @@ def _ranges_joined(typed: list[str]) -> list[str]:
         else:
             found.append(each)
     return found
-
-
-def _answer(options: argparse.Namespace) -> int:
-    try:
-        with words_beside(getattr(options, "out", None)):
-            return heard(lambda: int(options.run(options)))
-    except SystemExit as end:
-        raise CasacalError("Code of the problem's own ends the program (sys.exit)", "Take that out of it") from end

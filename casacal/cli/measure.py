@@ -12,8 +12,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from casacal.cli.adjust import add_clearance, add_where, clearance_of, on_table, table_of, where
-from casacal.cli.common import DONE, FAILED, PROBLEM, add, of_instrument, spare, whole_number
+from casacal.cli.common import (
+    DONE,
+    FAILED,
+    PROBLEM,
+    add,
+    add_clearance,
+    add_where,
+    clearance_of,
+    of_instrument,
+    on_table,
+    spare,
+    table_of,
+    where,
+    whole_number,
+)
 from casacal.cli.terminal import prompt, say_paragraphs
 from casacal.errors import CasacalError
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 
-from casacal.cli.adjust import number_or_range
-from casacal.cli.common import DONE, add
+from casacal.cli.common import DONE, add, number_or_range
 from casacal.cli.terminal import say_paragraphs
 from casacal.errors import CasacalError
 
@@ -35,8 +34,7 @@ def run(options: argparse.Namespace) -> int:
     """Write a problem folder for a DH table or a URDF; returns 0."""
     from casacal.problem.new import new_from_dh, new_from_urdf
     from casacal.problem.problem_text import Given
-    from casacal.robots.files.dh_fields import BLOCK_FIELDS
-    from casacal.robots.files.dh_text import unread_keys
+    from casacal.robots.dh_table import BLOCK_FIELDS, unread_keys
 
     sign = None if options.sign is None else int(options.sign)
     tool = None if options.tool is None else _triple(options.tool)

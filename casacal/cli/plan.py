@@ -9,13 +9,26 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.adjust import add_clearance, add_where, clearance_of, on_table, stds_of, where
-from casacal.cli.common import DONE, JSON, PROBLEM, add, of_instrument, spare, whole_number
+from casacal.cli.common import (
+    DONE,
+    JSON,
+    PROBLEM,
+    add,
+    add_clearance,
+    add_where,
+    clearance_of,
+    of_instrument,
+    on_table,
+    spare,
+    stds_of,
+    where,
+    whole_number,
+)
 from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
-    from casacal.planning.clearance import Clearance
+    from casacal.planning.choice import Clearance
     from casacal.planning.plan import Plan
     from casacal.planning.set_ups import SetUp
     from casacal.problem.problem_file import ProblemFile
@@ -59,9 +72,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Plan as the options say; returns 0."""
+    from casacal.planning.plan import cell_words, document, told
     from casacal.planning.route import FIT
     from casacal.planning.set_ups import POOL, set_ups
-    from casacal.planning.written import cell_words, document, told
     from casacal.problem.problem_file import load_problem
 
     if options.touches is not None and options.tolerance is not None:
@@ -142,8 +155,7 @@ def _wrong_with(source: ProblemFile, options: argparse.Namespace) -> list[str]:
 
 
 def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Clearance | None) -> Plan:
-    from casacal.planning.how_many import touches_for
-    from casacal.planning.plan import plan
+    from casacal.planning.plan import plan, touches_for
 
     box, targets = where(options, source)
     after = None if options.after is None else source.problem.read(options.after)
@@ -174,10 +186,9 @@ def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Cleara
 
 def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clearance: Clearance | None) -> list[str]:
     """Write the plan and what was asked for beside it; all is made before anything is written."""
-    from casacal.fieldwork.approaches import approaches
-    from casacal.fieldwork.handouts import PROGRAMS, program_text, sheet_page
+    from casacal.fieldwork.handouts import PROGRAMS, approaches, program_text, sheet_page
     from casacal.files import together, write_text
-    from casacal.planning.written import cell_words, plan_text
+    from casacal.planning.plan import cell_words, plan_text
 
     problem, name = source.problem, source.name
     texts = {Path(options.out): plan_text(found, problem, name, clearance)}

@@ -8,8 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.adjust import TABLE, number_or_range, on_table, table_of
-from casacal.cli.common import DONE, JSON, PROBLEM, add, spare, whole_number
+from casacal.cli.common import DONE, JSON, PROBLEM, TABLE, add, number_or_range, on_table, spare, table_of, whole_number
 from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
 
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from casacal.simulation.simulate import Simulation
 
 HELP = "simulate samples, with the true arm"
-
 
 NUMBERS = {
     "tilt": ("DEG", "largest angle between plunger and face normal"),
@@ -107,7 +105,14 @@ def run(options: argparse.Namespace) -> int:
             found |= {"kept": 0 if kept is None else len(kept), "left_out": lost, "warnings": warned}
         say_json(found)
         return DONE
-    say_paragraphs(f"Simulated, not measured: {_counted(simulation, kept)} {_where(cell, options.plan)}")
+    names, sets = source.problem.names, simulation.measured.sets
+    of = [f" of the {name}" if len(names) > 1 else "" for name in names]
+    counted = ", ".join(f"{len(some)} samples{name}" for name, some in zip(of, sets, strict=True))
+    counted += "" if kept is None else f", and {len(kept)} kept to verify,"
+    where = "in random postures" if options.plan is None else f"in the postures of {options.plan}"
+    if options.plan is None and isinstance(cell, Cell):
+        where = f"on {', '.join(face.label for face in cell.faces)} at tilts up to {math.degrees(cell.tilt):g} deg"
+    say_paragraphs(f"Simulated, not measured: {counted} {where}")
     say_paragraphs(*(f"warning: {each}" for each in warned), *remarks)
     say_paragraphs(
         "Samples like these should reduce the tip error over the workspace, apart from the position of the base, from "
@@ -178,7 +183,7 @@ def _compared(route: Route | None, simulation: Simulation, robot: Robot) -> tupl
 def _parted(simulation: Simulation, route: Route | None) -> tuple[Simulation, Samples | None]:
     """What is to be fitted, and the rows that the plan keeps to verify, if any."""
     from casacal.planning.route import CHECK
-    from casacal.samples.measurements import Measurements
+    from casacal.samples.samples import Measurements
 
     if route is None:
         return simulation, None
@@ -189,25 +194,6 @@ def _parted(simulation: Simulation, route: Route | None) -> tuple[Simulation, Sa
     if not fit:
         raise CasacalError(f"The true arm can make none of the touches to fit of {rows.file}", "Plan others")
     return replace(simulation, measured=Measurements.of(rows.take(fit))), rows.take(check) if check else None
-
-
-def _counted(simulation: Simulation, kept: Samples | None) -> str:
-    """How many samples of each instrument."""
-    names, sets = simulation.problem.names, simulation.measured.sets
-    of = [f" of the {name}" if len(names) > 1 else "" for name in names]
-    said = ", ".join(f"{len(some)} samples{name}" for name, some in zip(of, sets, strict=True))
-    return said if kept is None else f"{said}, and {len(kept)} kept to verify,"
-
-
-def _where(cell: Disturbances, plan: str | None) -> str:
-    """Where samples are taken, in words."""
-    from casacal.simulation.cell import Cell
-
-    if plan is not None:
-        return f"in the postures of {plan}"
-    if not isinstance(cell, Cell):
-        return "in random postures"
-    return f"on {', '.join(face.label for face in cell.faces)} at tilts up to {math.degrees(cell.tilt):g} deg"
 
 
 def _beside(simulation: Simulation) -> list[str]:

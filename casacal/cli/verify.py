@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from casacal.cli.adjust import names_of
-from casacal.cli.common import DONE, FAILED, JSON, add, add_fresh_rows, fresh_rows, made_from, spare
+from casacal.cli.common import DONE, FAILED, JSON, add, add_fresh_rows, fresh_rows, made_from, names_of, spare
 from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
 

@@ -23,14 +23,13 @@ from casacal.discrepancy.smooth import Drift, FaceForm, JointField, ThermalGrowt
 from casacal.errors import CasacalError
 from casacal.graphs import graph_data, graph_from
 from casacal.instruments.description import Probe, ResidualBlock
-from casacal.instruments.traced_instrument import TracedInstrument
+from casacal.instruments.instrument import TracedInstrument
 from casacal.problem.problem import Problem
 from casacal.robots.dh_table import DHTable
-from casacal.robots.files.urdf import UrdfJoint
 from casacal.robots.joints import Conventions, Joint
 from casacal.robots.robot import Robot
 from casacal.robots.traced_pose import Screws, TracedPose
-from casacal.robots.urdf_chain import UrdfChain
+from casacal.robots.urdf import UrdfChain, UrdfJoint
 from casacal.unknowns import Direction, Frame, Parameter, Plane
 from casacal.values import FrozenMapping
 

@@ -23,7 +23,7 @@ from casacal.compensation.targets import Compensation, Outcome, Rounding, Target
 from casacal.compensation.told import TellingColumns
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.kinematics import turns_of
-from casacal.robots.joint_space import joint_units
+from casacal.robots.robot import joint_units
 
 LARGEST = math.radians(10)  # joint motion (rad, or its weight in mm) beyond which a correction is a jump
 ROUNDED = 1e-6  # how far (rad, mm) the rounding of a file may put joint values beyond a limit

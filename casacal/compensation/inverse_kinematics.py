@@ -16,11 +16,10 @@ from scipy.spatial.transform import Rotation
 
 from casacal.array_types import Array, Rows
 from casacal.compensation.told import NOTHING_TOLD
-from casacal.kernels.batch import BLOCK, Batch
+from casacal.kernels.block_rows import BLOCK, Batch
 from casacal.problem.compile import row_function
 from casacal.problem.problem import Problem
-from casacal.robots.joint_space import AXIS_WEIGHT, joint_units, random_joints
-from casacal.robots.robot import Robot
+from casacal.robots.robot import AXIS_WEIGHT, Robot, joint_units, random_joints
 
 FEW_JOINTS_WEIGHT = 1.0
 """Millimetres that weigh as much as one radian where an arm has fewer than six joints: position first, and the

@@ -18,9 +18,8 @@ from casacal.errors import CasacalError, UnknownNameError
 from casacal.files import MADE, write_text
 from casacal.kinematics import quaternions_of, stacked_poses, turns_of
 from casacal.problem.problem_file import ProblemFile
-from casacal.robots.joint_space import joint_values
-from casacal.samples.layout import Layout
-from casacal.samples.samples import Samples
+from casacal.robots.robot import joint_values
+from casacal.samples.samples import Layout, Samples
 from casacal.tables.read import is_frame, read_columns, table_of_frame
 from casacal.values import Value, frozen
 

@@ -21,10 +21,9 @@ from casacal.errors import CasacalError, came
 from casacal.files import BY, jsonable, recover
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile, SourceFile, load_problem
-from casacal.robots.dh_table import DHTable
-from casacal.robots.files.dh_text import read_dh_file
+from casacal.robots.dh_table import DHTable, read_dh_file
 from casacal.robots.robot import Arm
-from casacal.robots.urdf_chain import UrdfChain
+from casacal.robots.urdf import UrdfChain
 from casacal.unknowns import Parameter
 
 FREE = ("seal", "seconds", BY)  # keys that are not sealed

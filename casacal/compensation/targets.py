@@ -19,9 +19,8 @@ from casacal.instruments.description import Dimension
 from casacal.kinematics import turns_of
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
-from casacal.robots.joint_space import joint_values
-from casacal.samples.layout import Layout, match_columns, read_further
-from casacal.samples.samples import Samples, taken_from
+from casacal.robots.robot import joint_values
+from casacal.samples.samples import Layout, Samples, match_columns, read_further, taken_from
 from casacal.tables.read import is_frame, read_any_table, table_of_frame
 from casacal.tables.text import Table
 from casacal.values import EMPTY, FrozenMapping, Value, frozen

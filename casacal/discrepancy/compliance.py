@@ -16,9 +16,9 @@ from casacal.discrepancy.effect import ByColumns, Effect, check_columns_of, read
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression, position
 from casacal.problem.term import Here, Site
-from casacal.robots.files.urdf_links import weights_of
-from casacal.robots.joint_space import random_joints
 from casacal.robots.links import Links
+from casacal.robots.robot import random_joints
+from casacal.robots.urdf import weights_of
 from casacal.samples.samples import Samples
 from casacal.unknowns import Parameter
 from casacal.values import is_real

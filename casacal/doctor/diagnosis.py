@@ -1,23 +1,271 @@
-"""Which conventions explain pendant rows: all of them, sorted into those that mean the same and those that do not."""
+"""Which conventions explain pendant rows: those that mean the same, those that do not, and how to tell them apart."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casacal.array_types import Array
-from casacal.doctor.axes import Axes, axes_of
-from casacal.doctor.family import Family
-from casacal.doctor.pendant_rows import ANGLES, LENGTHS, PendantRows, angle_between, rotations_of
-from casacal.doctor.same_arm import MOST_MEANINGS, FurtherPose, Meaning, changes, conventions_of, distinct, further_pose
-from casacal.doctor.search import Halves, poses_of
-from casacal.doctor.slips import PendantSlip, slips_in
+from casacal.array_types import Array, Index
+from casacal.doctor.pendant_rows import ANGLES, LENGTHS, PendantRows, angle_between, rotations_as, rotations_of
+from casacal.doctor.search import Axes, Family, Halves, Integers, axes_of, one_change_away, poses_of
 from casacal.errors import CasacalError
 from casacal.robots.dh_table import DHTable
-from casacal.robots.joint_space import AXIS_WEIGHT, random_joints
-from casacal.robots.robot import Robot
+from casacal.robots.joints import Conventions
+from casacal.robots.robot import AXIS_WEIGHT, Robot, inside_limits, random_joints
+
+SAME = 1e-6  # difference (mm; rad) at random joint values below which two conventions are one
+COMPARED = 24  # random joint values at which they are compared
+MOST_MEANINGS = 48  # different meanings that are told apart; when more fit, the rows say next to nothing
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """One meaning of the controller's joint values, and all ways to write it that fit the rows.
+
+    conventions: the simplest first. reading: the same as an entry of the family (n, 4). joint_unit, length_unit: of the
+    numbers shown. rotations: which conventions of the orientation do the rows, with the worst miss, rad. miss_mm: of
+    the positions, the worst.
+    """
+
+    conventions: tuple[Conventions, ...]
+    reading: Integers
+    joint_unit: str
+    length_unit: str
+    rotations: Mapping[tuple[str, str], float]
+    miss_mm: float
+
+    @property
+    def simplest(self) -> Conventions:
+        """The way to write it with the fewest changes from plain."""
+        return self.conventions[0]
+
+    @property
+    def family(self) -> Family:
+        """The reading alone, as a family of one."""
+        return Family(self.reading[None], np.zeros(1, dtype=bool))
+
+
+def distinct(axes: Axes, family: Family) -> list[Index]:
+    """Indices of the readings of each meaning, at most `MOST_MEANINGS` of them; decided at random joint values."""
+    if not len(family):
+        return []
+    n = len(axes.turns)
+    spread = np.where(axes.turns, np.pi, 500.0)
+    q = np.random.default_rng(0).uniform(-spread, spread, (COMPARED, n))
+    turn, place = poses_of(axes, family, q)
+    told = np.concatenate([turn.reshape(len(family), -1), place.reshape(len(family), -1)], axis=1)
+    groups: list[Index] = []
+    left = np.arange(len(family))
+    while left.size and len(groups) < MOST_MEANINGS:
+        same = np.abs(told[left] - told[left[0]]).max(axis=1) < SAME
+        groups.append(left[same])
+        left = left[~same]
+    return groups
+
+
+def conventions_of(reading: Integers, mixing: Array) -> Conventions | None:
+    """A reading (n, 4) as `Conventions` of the robot's own joint values; None when they cannot say it.
+
+    mixing: what the robot's pose does to its joint values (n, n), the identity but for a pose that couples joints.
+    """
+    sign, quarter, partner, factor = reading.astype(int).T
+    n = len(reading)
+    matrix = np.diag(sign).astype(np.float64)
+    for i in np.flatnonzero(partner >= 0):
+        matrix[i, partner[i]] = sign[i] * factor[i]
+    matrix = np.round(np.linalg.solve(mixing, matrix))
+    if (np.abs(np.diagonal(matrix)) != 1).any():
+        return None
+    signs = np.diagonal(matrix).astype(int)
+    turned = np.round(np.linalg.solve(mixing, quarter.astype(np.float64)))
+    quarters = 2 - (2 - turned) % 4  # of all that mean the same, -1, 0, 1 or 2
+    couplings = [(i, j) for i in range(n) for j in range(n) if i != j and matrix[i, j]]
+    return Conventions(
+        tuple(int(s) for s in signs),
+        tuple(float(k) * np.pi / 2 for k in quarters),
+        tuple((i + 1, j + 1, float(matrix[i, j] * signs[i])) for i, j in couplings),
+    )
+
+
+def changes(conventions: Conventions) -> tuple[int, int, float, tuple[float, ...]]:
+    """How far from plain conventions are, to sort by: settings changed, couplings, size of offsets, their order."""
+    shifted = [offset for offset in conventions.offsets if abs(offset) > 1e-9]
+    changed = sum(sign < 0 for sign in conventions.signs) + len(shifted) + len(conventions.coupling)
+    size = float(sum(abs(offset) for offset in shifted))
+    return changed, len(conventions.coupling), size, (*(-s for s in conventions.signs), *conventions.offsets)
+
+
+TRIED = 300  # random postures among which the most telling one is chosen
+TOLD = 5.0  # multiples of the tolerance by which a posture must separate two conventions
+
+
+@dataclass(frozen=True)
+class FurtherPose:
+    """Joint values to move to, as the controller shows them (n,), in the joint unit of the simplest meaning.
+
+    separates: part of the pairs of conventions that it tells apart. least_mm, least_rad: what its least different pair
+    differs by, the larger of the two in units of the tolerance.
+    """
+
+    joints: Array
+    separates: float
+    least_mm: float
+    least_rad: float
+
+
+def further_pose(
+    axes: Axes, robot: Robot, meanings: Sequence[Meaning], tolerance: float, *, seed: int = 0
+) -> FurtherPose:
+    """The random posture, inside the joint limits as far as they are known, that separates the meanings most.
+
+    A single meaning, held by too few rows, is set against all that differ from it in one joint. Another seed draws
+    other postures, so that a pose that is on record already is not proposed again.
+    """
+    best = meanings[0]
+    scale = _scale(axes, best)
+    sampled = random_joints(robot, TRIED, np.random.default_rng(seed))
+    step = np.where(axes.turns, 1.0 if best.joint_unit == "deg" else 0.01, 1.0 if best.length_unit == "mm" else 0.01)
+    shown = np.round(best.simplest.to_controller(sampled) / scale / step) * step
+    inside = np.array([inside_limits(robot, m.simplest.to_model(shown * _scale(axes, m))) for m in meanings])
+    counts = inside.sum(axis=0)
+    shown = shown[counts == counts.max()]
+    if len(meanings) == 1:
+        family = one_change_away(best.reading, axes.turns)
+        rivals = Family(np.concatenate([best.reading[None], family.options]), np.zeros(len(family) + 1, dtype=bool))
+        turn, place = poses_of(axes, rivals, shown * scale)
+    else:
+        told = [poses_of(axes, m.family, shown * _scale(axes, m)) for m in meanings]
+        turn = np.concatenate([each[0] for each in told])
+        # as the controller shows it: a metre and a millimetre that read alike cannot be told apart
+        place = np.concatenate(
+            [
+                each[1] * LENGTHS[best.length_unit] / LENGTHS[m.length_unit]
+                for each, m in zip(told, meanings, strict=True)
+            ]
+        )
+    one, other = np.triu_indices(len(turn), k=1)
+    if len(meanings) == 1:
+        one, other = one[one == 0], other[one == 0]
+    apart = np.linalg.norm(place[one] - place[other], axis=-1), angle_between(turn[one], turn[other])
+    size = np.maximum(apart[0] / tolerance, apart[1] / (tolerance * 1e-3))
+    twins = size.max(axis=1) < 1e-3
+    size, apart = size[~twins], (apart[0][~twins], apart[1][~twins])
+    chosen = int(np.lexsort((size.min(axis=0), (size > TOLD).sum(axis=0)))[-1])
+    least = int(np.argmin(size[:, chosen]))
+    return FurtherPose(
+        shown[chosen],
+        float((size[:, chosen] > TOLD).mean()),
+        float(apart[0][least, chosen]),
+        float(apart[1][least, chosen]),
+    )
+
+
+def _scale(axes: Axes, meaning: Meaning) -> Array:
+    """From joint values as shown to rad and mm (n,)."""
+    return np.where(axes.turns, ANGLES[meaning.joint_unit], LENGTHS[meaning.length_unit])
+
+
+TRIED, REFINED, STEPS = 72, 3, 6
+"""Values of an angle that are tried, those among them that are refined, and the most steps to refine one."""
+AS_WELL = 2.0
+"""Multiples of what the other rows miss by, within which a changed number explains its row as well as they are."""
+ROUNDING = 0.1  # part of the tolerance that a row may always miss by: numbers are rounded
+
+
+@dataclass(frozen=True)
+class PendantSlip:
+    """A number that does not fit, and the one in its place with which its row would.
+
+    line: of the file (counted from 1, or the row where there is no file). column: its name. shown, fitting: in the unit
+    of the column. miss: of the row with it, the larger of mm and mrad.
+    """
+
+    line: int
+    column: str
+    shown: float
+    fitting: float
+    miss: float
+
+
+def slips_in(
+    axes: Axes, base: Array, rows: PendantRows, row: int, meanings: Iterable[Meaning], tolerance: float
+) -> tuple[PendantSlip, ...]:
+    """Every single number of a row that could be the one copied wrongly, if the others mean what all other rows mean.
+
+    meanings: of the other rows. A number counts when, changed, its row fits as well as the others do, within
+    `tolerance` mm and mrad. Of several meanings each number keeps the value with which its row fits best.
+    """
+    found: dict[str, PendantSlip] = {}
+    shown = rows.numbers
+    for meaning in meanings:
+        for name in meaning.rotations:
+            miss = _misses(axes, base, rows, meaning, name)
+            others = np.delete(shown, row, axis=0)
+            limit = min(tolerance, max(AS_WELL * _size(miss(others)).max(), ROUNDING * tolerance))
+            for k, (column, starts) in enumerate(_cells(axes, rows, meaning, name)):
+                value, size = _best(miss, shown[row], k, starts)
+                if size <= limit and (column not in found or size < found[column].miss):
+                    if k < rows.joints.shape[1] and axes.turns[k]:  # within half a turn of zero
+                        turn = 2 * np.pi / ANGLES[meaning.joint_unit]
+                        value -= turn * round(value / turn)
+                    found[column] = PendantSlip(rows.line(row), column, float(shown[row, k]), value, size)
+    return tuple(sorted(found.values(), key=lambda slip: slip.miss))
+
+
+def _misses(
+    axes: Axes, base: Array, rows: PendantRows, meaning: Meaning, name: tuple[str, str]
+) -> Callable[[Array], Array]:
+    """What rows of numbers (N, columns) miss by under one meaning: (N, 12), 3 in mm and 9 whose norm is mrad."""
+    n, length, scale = rows.joints.shape[1], LENGTHS[meaning.length_unit], _scale(axes, meaning)
+
+    def miss(numbers: Array) -> Array:
+        turn, place = poses_of(axes, meaning.family, numbers[:, :n] * scale)
+        apart = place[0] @ base[:3, :3].T + base[:3, 3] - numbers[:, n : n + 3] * length
+        turned = base[:3, :3] @ turn[0] - rotations_as(numbers[:, n + 3 :], *name)
+        # the norm of a difference of rotations is sqrt(2) times a small angle
+        return np.hstack([apart, turned.reshape(len(numbers), 9) * (1e3 / np.sqrt(2))])
+
+    return miss
+
+
+def _size(misses: Array) -> Array:
+    """The larger of mm and mrad (N,)."""
+    return np.asarray(np.maximum(np.linalg.norm(misses[:, :3], axis=1), np.linalg.norm(misses[:, 3:], axis=1)))
+
+
+def _cells(axes: Axes, rows: PendantRows, meaning: Meaning, name: tuple[str, str]) -> Iterator[tuple[str, Array]]:
+    """Each column, with values to start from: one where poses are linear in it, else all round."""
+    kind, unit = name
+    n, around = rows.joints.shape[1], np.linspace(-np.pi, np.pi, TRIED, endpoint=False)
+    angles = {"quaternion": around / np.pi, "rotation-vector": 2 * around}.get(kind, around) / ANGLES.get(unit, 1.0)
+    for k, column in enumerate(rows.names):
+        if k < n:
+            yield column, around / ANGLES[meaning.joint_unit] if axes.turns[k] else np.zeros(1)
+        else:
+            yield column, np.zeros(1) if k < n + 3 else angles
+
+
+def _best(miss: Callable[[Array], Array], numbers: Array, column: int, starts: Array) -> tuple[float, float]:
+    """The value of one number with which its row misses least, by Gauss-Newton from the best starts; and that miss."""
+
+    def at(values: Array) -> Array:
+        tried = np.tile(numbers, (len(values), 1))
+        tried[:, column] = values
+        return miss(tried)
+
+    values = starts[np.argsort(np.linalg.norm(at(starts), axis=1), kind="stable")[:REFINED]]
+    near = 1e-6 * (1 + np.ptp(starts))
+    for _ in range(STEPS):
+        here, after, before = np.split(at(np.concatenate([values, values + near, values - near])), 3)
+        slope = (after - before) / (2 * near)
+        steep = np.maximum((slope**2).sum(axis=1), np.finfo(float).tiny)  # a number that moves nothing stays
+        values = values - (slope * here).sum(axis=1) / steep
+    sizes = _size(at(values))
+    chosen = int(np.argmin(sizes))
+    return float(values[chosen]), float(sizes[chosen])
+
 
 TOLERANCE = 3.0
 """Miss (mm, and mrad) within which a row counts as explained: rounding of joints at arm's length, and no more."""
@@ -93,7 +341,7 @@ def diagnose(
     """Find joint signs, quarter-turn offsets, couplings, units and the convention of orientation behind pendant rows.
 
     The arm is the robot at its nominal parameters, which is what controllers compute with. Every convention of the
-    family (see `casacal.doctor.family`) is searched, in degrees and radians, mm and metres; two that give
+    family (see `casacal.doctor.search`) is searched, in degrees and radians, mm and metres; two that give
     equal poses at all joint values count as one.
 
     Args:

@@ -1,20 +1,267 @@
-"""The search, met in the middle: readings of the first joints carry the shown position back, the others carry it up.
+"""The conventions that are searched, and the search, met in the middle.
 
-What the readings of the joints of a half do to a point does not depend on the other half, so thousands of halves are
-compared as points of a k-d tree in place of hundreds of millions of wholes.
+Joint i of the model = sign * (q_i + factor * q_partner) + quarter turns. Every turning joint may have either sign and
+any of the four quarter turns; a sliding joint has either sign and no offset. Either any joints are measured against the
+joint before them (factor +-1), or one joint is measured against any other one.
+
+Readings of the first joints carry the shown position back, the others carry it up. What the readings of the joints of a
+half do to a point does not depend on the other half, so thousands of halves are compared as points of a k-d tree in
+place of hundreds of millions of wholes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, TypeAlias
 
+import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
-from casacal.array_types import Array, Index
-from casacal.doctor.axes import Axes, about
-from casacal.doctor.family import Family, Products, joined, motions, readings
+from casacal.array_types import Array, Index, Rows
+from casacal.errors import ProblemError
+from casacal.kernels.block_rows import Batch
+from casacal.kinematics import stacked_poses
+from casacal.robots.robot import Robot, random_joints
+
+EXACT = 1e-7  # miss (mm; rad) below which the axes reproduce the robot's pose
+
+
+@dataclass(frozen=True)
+class Axes:
+    """T(q) = exp(S_1 u_1) ... exp(S_n u_n) T(0), u = mixing q: the product of exponentials of the arm as drawn.
+
+    Lynch and Park, Modern Robotics, eq (4.14). turns: which joints turn (n,). directions: of the axes at q = 0 (n, 3).
+    points: one on each axis (n, 3), mm. turn, place: T(0), rotation (3, 3) and position (3; mm). mixing: (n, n), the
+    identity but for a pose function that couples joints itself.
+    """
+
+    turns: tuple[bool, ...]
+    directions: Array
+    points: Array
+    turn: Array
+    place: Array
+    mixing: Array
+
+    def poses(self, motions: Array) -> tuple[Array, Array]:
+        """Rotations (..., 3, 3) and positions (..., 3; mm) at motions u (..., n; rad, mm) of the axes."""
+        turn = np.broadcast_to(self.turn, (*motions.shape[:-1], 3, 3))
+        place = np.broadcast_to(self.place, (*motions.shape[:-1], 3))
+        for i in reversed(range(len(self.turns))):
+            place = self.carry(i, motions[..., i], place)
+            if self.turns[i]:
+                turn = about(self.directions[i], motions[..., i]) @ turn
+        return turn, place
+
+    def carry(self, joint: int, motion: Array, points: Array) -> Array:
+        """Points (..., 3; mm) moved by one joint through `motion` (...)."""
+        direction = self.directions[joint]
+        if not self.turns[joint]:
+            return np.asarray(points + motion[..., None] * direction)
+        # Rodrigues' formula on vectors
+        arm = points - self.points[joint]
+        c, s = np.cos(motion)[..., None], np.sin(motion)[..., None]
+        along = (arm @ direction)[..., None] * direction
+        x, y, z = direction
+        cross = arm @ np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]])
+        return np.asarray(self.points[joint] + along + c * (arm - along) + s * cross)
+
+
+def axes_of(robot: Robot) -> Axes:
+    """Find the axes of a robot at its nominal parameters from its pose function.
+
+    Raises ProblemError when the pose is not one motion per joint (with joints coupled as the doctor's family knows).
+    """
+    n, count = len(robot.axes), 12
+    q = ca.SX.sym("q", n)
+    symbolic = ca.vec(ca.SX(robot.flange(SimpleNamespace(**robot.traced.drawn), q)))
+    pose = Batch(ca.Function("pose", [q], [ca.densify(symbolic)]))
+    slope = np.array(ca.Function("slope", [q], [ca.jacobian(symbolic, q)])(np.zeros(n)))
+    tried = random_joints(robot, count, np.random.default_rng(0))
+    at_zero, *asked = stacked_poses(pose(np.vstack([np.zeros(n), tried]))[0])
+    turns = tuple(robot.revolute.tolist())
+    for mixing in _mixings(turns):
+        found = _screws(turns, slope, at_zero, mixing)
+        if found is None:
+            continue
+        turn, place = found.poses(tried @ mixing.T)
+        wanted = np.array(asked)
+        if np.abs(place - wanted[:, :3, 3]).max() < EXACT and np.abs(turn - wanted[:, :3, :3]).max() < EXACT:
+            return found
+    fix = "Give the doctor a pose without gears or links"
+    raise ProblemError(f"The pose of '{robot.name}' is not one turn or slide per joint", fix)
+
+
+def _mixings(turns: tuple[bool, ...]) -> Iterator[Array]:
+    """What a pose function may do to its joints before they move axes: nothing, one coupling, or several neighbours."""
+    n = len(turns)
+    yield np.eye(n)
+    alike = [(i, j) for i in range(n) for j in range(n) if i != j and turns[i] and turns[j]]
+    for (i, j), factor in itertools.product(alike, (-1.0, 1.0)):
+        mixing = np.eye(n)
+        mixing[i, j] = factor
+        yield mixing
+    pairs = [(i, i - 1) for i in range(1, n) if (i, i - 1) in alike]
+    for factors in itertools.product((0.0, -1.0, 1.0), repeat=len(pairs)):
+        if sum(factor != 0 for factor in factors) > 1:
+            mixing = np.eye(n)
+            for (i, j), factor in zip(pairs, factors, strict=True):
+                mixing[i, j] = factor
+            yield mixing
+
+
+def _screws(turns: tuple[bool, ...], slope: Array, at_zero: Array, mixing: Array) -> Axes | None:
+    """Axes from the slope of the pose at q = 0, or None when they are not those of turns and slides."""
+    turn, place = at_zero[:3, :3], at_zero[:3, 3]
+    by_axis = slope @ np.linalg.inv(mixing)
+    directions, points = [], []
+    for turning, column in zip(turns, by_axis.T, strict=True):
+        rate = column.reshape(4, 4).T
+        spin = rate[:3, :3] @ turn.T
+        omega, velocity = np.array([spin[2, 1], spin[0, 2], spin[1, 0]]), rate[:3, 3]
+        size = np.linalg.norm(omega if turning else velocity)
+        pitch = abs(omega @ velocity) if turning else np.linalg.norm(omega)
+        if abs(size - 1) > EXACT or pitch > EXACT * 1e3:
+            return None
+        directions.append(omega if turning else velocity)
+        points.append(place + np.cross(omega, velocity))
+    return Axes(turns, np.array(directions), np.array(points), turn, place, mixing)
+
+
+def about(direction: Array, angles: Array) -> Array:
+    """Rotations (..., 3, 3) about a unit direction (3,)."""
+    x, y, z = direction
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    c, s = np.cos(angles)[..., None, None], np.sin(angles)[..., None, None]
+    return np.asarray(np.eye(3) + s * cross + (1 - c) * (cross @ cross))
+
+
+Integers: TypeAlias = NDArray[np.int8]
+
+Option: TypeAlias = tuple[int, int, int, int]
+"""Sign, quarter turns, partner (counted from 0; -1 for none), factor: one way to read one joint."""
+
+
+@dataclass(frozen=True)
+class Family:
+    """Readings of consecutive joints, one per row.
+
+    options: (H, m, 4), an `Option` for each joint. distant: rows (H,) that couple a joint with one not before it.
+    """
+
+    options: Integers
+    distant: Rows
+
+    def __len__(self) -> int:
+        return len(self.options)
+
+    def take(self, rows: Index) -> Family:
+        """Some of the readings."""
+        return Family(self.options[rows], self.distant[rows])
+
+    @property
+    def coupled(self) -> Rows:
+        """Readings (H,) that couple joints."""
+        return np.asarray((self.options[..., 2] >= 0).any(axis=1))
+
+    @property
+    def changes(self) -> Index:
+        """In how many settings a reading differs from plain (H,)."""
+        sign, quarter, partner, _ = np.moveaxis(self.options, -1, 0)
+        return np.asarray(((sign < 0).astype(int) + (quarter != 0) + (partner >= 0)).sum(axis=1))
+
+
+@dataclass(frozen=True)
+class Products:
+    """All readings of some consecutive joints, as products of what each joint may be.
+
+    parts: for each product the options of each joint, (k, 4) each. distant: which products couple a joint with one not
+    before it.
+    """
+
+    joints: tuple[int, ...]
+    parts: tuple[tuple[Integers, ...], ...]
+    distant: tuple[bool, ...]
+
+    def family(self) -> Family:
+        """The readings one by one, in the order of the products."""
+        options, marks = [], []
+        for part, mark in zip(self.parts, self.distant, strict=True):
+            index = np.indices([len(each) for each in part]).reshape(len(part), -1)
+            listed = [each[rows] for each, rows in zip(part, index, strict=True)]
+            options.append(np.stack(listed, axis=1) if part else np.zeros((1, 0, 4), dtype=np.int8))
+            marks.append(np.full(len(options[-1]), mark))
+        return Family(np.concatenate(options), np.concatenate(marks))
+
+    def carried(self, axes: Axes, q: Array, points: Array, *, back: bool) -> Array:
+        """Points (N, 3; mm) carried by every reading, (H, N, 3): up through the joints, or back through their inverses.
+
+        What only some joints decide is computed once for all readings that share it.
+        """
+        carried = []
+        for part in self.parts:
+            places = points
+            order = range(len(part)) if back else reversed(range(len(part)))
+            for k in order:
+                moved = motions(part[k], self.joints[k], q)
+                shape = [1] * len(part)
+                shape[k] = len(moved)
+                moved = (-moved if back else moved).reshape(*shape, len(q))
+                places = axes.carry(self.joints[k], moved, places)
+            carried.append(np.broadcast_to(places, (*map(len, part), *points.shape)).reshape(-1, *points.shape))
+        return np.concatenate(carried)
+
+
+def motions(options: Integers, joint: int, q: Array) -> Array:
+    """Motion (H, N; rad, mm) of a joint, read as each of (H, 4) options, at the controller's values (N, n; rad, mm)."""
+    sign, quarter, partner, factor = options.T[..., None]
+    other = np.where(partner >= 0, q.T[partner[:, 0]], 0.0)
+    return np.asarray(sign * (q[:, joint] + factor * other) + quarter * (np.pi / 2))
+
+
+def readings(joints: Sequence[int], turns: Sequence[bool], *, coupled: bool = True) -> Products:
+    """All readings of consecutive joints (counted from 0) of an arm whose joints turn or slide as `turns` says.
+
+    Without couplings when `coupled` is false.
+    """
+    every = [np.array(_options(i, turns), dtype=np.int8) for i in joints]
+    plain = [each[each[:, 2] < 0] for each in every]
+    if not coupled:
+        return Products(tuple(joints), (tuple(plain),), (False,))
+    near = [(each[:, 2] < 0) | (each[:, 2] == i - 1) for i, each in zip(joints, every, strict=True)]
+    parts, distant = [tuple(each[rows] for each, rows in zip(every, near, strict=True))], [False]
+    for k in range(len(every)):
+        if not near[k].all():
+            parts.append((*plain[:k], every[k][~near[k]], *plain[k + 1 :]))
+            distant.append(True)
+    return Products(tuple(joints), tuple(parts), tuple(distant))
+
+
+def joined(left: Family, right: Family) -> Family:
+    """Readings of all joints from as many of the left and of the right ones."""
+    return Family(np.concatenate([left.options, right.options], axis=1), left.distant | right.distant)
+
+
+def one_change_away(reading: Integers, turns: Sequence[bool]) -> Family:
+    """All readings of the whole arm that differ from one (n, 4) in one joint."""
+    rows = []
+    for i in range(len(turns)):
+        for option in _options(i, turns):
+            if option != tuple(reading[i]):
+                rows.append(np.concatenate([reading[:i], [np.array(option, dtype=np.int8)], reading[i + 1 :]]))
+    return Family(np.array(rows, dtype=np.int8), np.zeros(len(rows), dtype=bool))
+
+
+def _options(joint: int, turns: Sequence[bool]) -> list[Option]:
+    """Every way to read one joint."""
+    if not turns[joint]:
+        return [(1, 0, -1, 0), (-1, 0, -1, 0)]
+    partners = [(-1, 0), *((j, f) for j in range(len(turns)) if j != joint and turns[j] for f in (-1, 1))]
+    return [(sign, quarter, *pair) for pair in partners for quarter in (0, 1, 2, -1) for sign in (1, -1)]
+
 
 MATCHED_ROWS = 3  # rows, the most different ones, that are compared in the tree; the others are checked afterwards
 MOST, MOST_LEFT = 20_000, 4_000

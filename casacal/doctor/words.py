@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from casacal.doctor.diagnosis import ENOUGH, Diagnosis
+from casacal.doctor.diagnosis import ENOUGH, Diagnosis, Meaning
 from casacal.doctor.pendant_rows import MEANINGS
-from casacal.doctor.same_arm import Meaning
 from casacal.problem.problem_text import conventions_line
-from casacal.robots.files.dh_text import conventions_toml
+from casacal.robots.dh_table import conventions_toml
 from casacal.robots.joints import Conventions, Joint
 
 SHOWN = 4  # values of one setting that are listed when it is open

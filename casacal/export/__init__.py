@@ -4,11 +4,10 @@ The estimate is exported as it stands in the result: directions that the samples
 held them. Each form that has comments says what tip error to expect.
 """
 
-from casacal.export.c_code import c_text
-from casacal.export.controllers import ZeroCorrections, ur_kinematics_text, zero_corrections, zeros_text
+from casacal.export.controllers import ZeroCorrections, ur_kinematics_text, urdf_text, zero_corrections, zeros_text
 from casacal.export.forms import dh_text
+from casacal.export.functions import c_text
 from casacal.export.remark import remark
-from casacal.export.urdf import urdf_text
 
 __all__ = [
     "ZeroCorrections",

@@ -10,14 +10,11 @@ from pathlib import Path
 from casacal.compensation.arm import CalibratedArm, arm_values
 from casacal.compensation.result_file import arm_from
 from casacal.errors import CasacalError, UnknownNameError, came
-from casacal.export.c_code import c_text
-from casacal.export.controllers import ur_kinematics_text, zeros_text
-from casacal.export.functions import casadi_text
+from casacal.export.controllers import ur_kinematics_text, urdf_text, zeros_text
+from casacal.export.functions import c_text, casadi_text
 from casacal.export.remark import MARK, other_forms, remark
-from casacal.export.urdf import urdf_text
 from casacal.files import MADE, write_text
-from casacal.robots.dh_table import DHTable
-from casacal.robots.files.dh_text import dh_file_text, is_toml
+from casacal.robots.dh_table import DHTable, dh_file_text, is_toml
 
 FORMS = ("dh", "urdf", "zeros", "ur", "c", "casadi")
 """DH table (CSV, or TOML by the file's name), URDF, zero corrections (CSV), ur_description's kinematics, C99, and

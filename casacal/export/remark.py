@@ -10,7 +10,7 @@ from casacal.compensation.result_file import arm_from
 from casacal.files import MADE
 from casacal.robots.dh_table import DHTable
 from casacal.robots.robot import Robot
-from casacal.robots.urdf_chain import UrdfChain
+from casacal.robots.urdf import UrdfChain
 
 TAKES_COLUMNS = ("c", "casadi")  # forms with an input for what columns tell of effects
 

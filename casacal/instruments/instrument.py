@@ -1,21 +1,26 @@
-"""A way of measuring: the columns it reads, its own unknowns, and a signed smooth residual."""
+"""A way of measuring: columns, unknowns, a signed smooth residual; the same as a graph; a tip fixed to the flange."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, get_args
 
+import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError, came, refuse_unknown
-from casacal.instruments.description import Dimension, Probe, ResidualBlock, Sight, Suspect, Words
-from casacal.instruments.usual_mistakes import mistakes_in
-from casacal.kinematics import Expression, position
-from casacal.unknowns import Unknown
+from casacal.instruments.description import Dimension, Probe, ResidualBlock, Sight, Suspect, Words, mistakes_in
+from casacal.kinematics import Expression, Product, position, transform_point
+from casacal.unknowns import Parameter, Plane, Unknown
+from casacal.unknowns.geometry import packed_symbols
 from casacal.user_code import Portable
+from casacal.values import FrozenMapping, frozen, is_real
 
 
 class NoProposalError(ProblemError):
@@ -240,3 +245,136 @@ def _fields(instrument: Instrument) -> dict[str, object]:
     if not dataclasses.is_dataclass(instrument):
         return {}
     return {each.name: getattr(instrument, each.name) for each in dataclasses.fields(instrument)}
+
+
+def tool_point(
+    x: float = 0.0, y: float = 0.0, z: float = 0.0, *, prior_std: float = math.inf, free: bool = True
+) -> Parameter:
+    """Tool point (3, mm) in the flange frame, with components tool_x, tool_y, tool_z; its prior is flat by default."""
+    return Parameter((x, y, z), unit="mm", prior_std=prior_std, free=free, labels=("_x", "_y", "_z"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToolTip(Instrument):
+    """What instruments share that see one point of the flange; each says what it sees of it.
+
+    Args:
+        noise_std: standard deviation of each residual, mm.
+        tool: the point in the flange frame, mm.
+
+    Raises ProblemError for a noise that is not positive.
+
+    """
+
+    noise_std: float
+    tool: Parameter = tool_point()
+
+    def __post_init__(self) -> None:
+        if not is_real(self.noise_std) or not 0 < self.noise_std < math.inf:
+            raise ProblemError(
+                f"noise_std of {type(self).__name__} is {self.noise_std!r}", "Give a positive number of mm"
+            )
+
+    @property
+    def residual_std(self) -> float:
+        """Noise of each residual, mm."""
+        return self.noise_std
+
+    def tip(self, pose: Expression, p: Any, row: Any) -> Expression:
+        """Return the point in the base frame (3, mm)."""
+        del row
+        return transform_point(pose, p.tool)
+
+
+def proposed_point(per: str) -> Parameter:
+    """A point (3, mm) in the base frame for each value of a label column, which the rows propose; its prior is flat."""
+    return Parameter(None, unit="mm", labels=("_x", "_y", "_z"), per=per)
+
+
+def centre_of(points: Array, distances: Array, *, zero: bool = False) -> Array:
+    """Point (3, mm) from which points (N, 3) lie at distances (N,), or at these but for one number if `zero`.
+
+    |p|^2 - 2 p'c + |c|^2 = d^2 is linear in c and |c|^2; a common zero adds 2 d. Where the points leave a direction
+    open, as on a plane, c lies in their midst along it.
+    """
+    middle = points.mean(axis=0)
+    p = points - middle
+    columns = [-2 * p, np.ones((len(p), 1))] + ([2 * distances[:, None]] if zero else [])
+    solved, *_ = np.linalg.lstsq(np.hstack(columns), distances**2 - (p**2).sum(axis=1), rcond=1e-9)
+    return np.asarray(middle + solved[:3])
+
+
+def _declared(name: str, before: Any = None) -> Any:
+    """A property as it was declared; in files from before it was, this."""
+    return property(lambda self: self.declared.get(name, before))
+
+
+@dataclass(frozen=True, eq=False)
+class TracedInstrument(Instrument):
+    """What an instrument declares, and its functions as a graph.
+
+    declared: its properties of `DECLARED`, by name. values: unknowns of the robot and its own, by key, in the order of
+    the graph's arguments. graph: flange pose (4x4, mm), their packed values, and the row's columns to residual, tip (3,
+    mm) and plunger (3, or nothing).
+    """
+
+    declared: Mapping[str, Any]
+    values: Mapping[str, Unknown]
+    graph: ca.Function
+
+    columns = _declared("columns")
+    unknowns = _declared("unknowns")
+    known_columns = _declared("known_columns")
+    known_by = _declared("known_by")
+    knows_every_label = _declared("knows_every_label", False)
+    datum = _declared("datum")
+    column_stds = _declared("column_stds")
+    residual_std = _declared("residual_std")
+    probe = _declared("probe")
+    blocks = _declared("blocks", ())
+
+    @staticmethod
+    def of(instrument: Instrument, parameters: Mapping[str, Unknown]) -> TracedInstrument:
+        """Trace an instrument on a robot with these parameters; lets pass what its functions raise."""
+        every = {**parameters, **instrument.unknowns}
+        symbols, values = packed_symbols(every)
+        pose, p = ca.SX.sym("pose", 4, 4), SimpleNamespace(**values)
+        columns = {name: ca.SX.sym(name) for name in (*instrument.columns, *instrument.known_columns)}
+        row = SimpleNamespace(**columns)
+        plunger = instrument.plunger_direction(pose, p)
+        built = [instrument.residual(pose, p, row), instrument.tip(pose, p, row)]
+        built.append(ca.SX(0, 1) if plunger is None else plunger)
+        graph = ca.Function("instrument", [pose, *symbols, *columns.values()], [ca.densify(ca.SX(e)) for e in built])
+        declared = {name: getattr(instrument, name) for name in DECLARED}
+        return TracedInstrument(frozen(declared), FrozenMapping(every), graph)
+
+    def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
+        """The residual that was traced."""
+        return self._called(pose, p, row)[0]
+
+    def tip(self, pose: Expression, p: Any, row: Any) -> Expression:
+        """The tip that was traced (3, mm)."""
+        return self._called(pose, p, row, whole=False)[1]
+
+    def plunger_direction(self, pose: Expression, p: Any) -> Expression | None:
+        """The plunger's direction that was traced (3), or None."""
+        return None if self.graph.numel_out(2) == 0 else self._called(pose, p, None, whole=False)[2]
+
+    def propose(self, key: str, sight: Sight) -> Array:
+        """A plane through the tips; for anything else the instrument itself would have to be asked."""
+        return sight.touched_plane() if isinstance(self.unknowns[key], Plane) else super().propose(key, sight)
+
+    def _called(self, pose: Expression, p: Any, row: Any, *, whole: bool = True) -> list[Expression]:
+        """All outputs; of a tip or a plunger alone, unknowns that nobody gives, such as a face, play no part."""
+        packed = [
+            unknown.packed(getattr(p, key)) if whole or hasattr(p, key) else ca.DM.zeros(*self.graph.size_in(i))
+            for i, (key, unknown) in enumerate(self.values.items(), 1)
+        ]
+        names = (*self.columns, *self.known_columns)
+        known = [getattr(row, name, 0.0) for name in names]  # a tip is asked for without a row, at reading zero
+        found: list[Expression] = self.graph.call([pose.matrix if isinstance(pose, Product) else pose, *packed, *known])
+        return found
+
+
+DECLARED = tuple(name for name, item in vars(TracedInstrument).items() if isinstance(item, property))
+"""What an instrument declares of itself."""

@@ -9,11 +9,10 @@ import os
 import casadi as ca
 
 from casacal.errors import ProblemError
-from casacal.kernels.algebra import Role
 from casacal.kernels.block_rows import BlockKernels
-from casacal.kernels.compiler import CompilerError
+from casacal.kernels.libraries import CompilerError
 from casacal.kernels.native_rows import NativeKernels
-from casacal.kernels.program import Program, read_program
+from casacal.kernels.program import Program, Role, read_program
 from casacal.kernels.rows import Kernels
 
 BACKENDS = ("auto", "c", "blocks")

@@ -13,11 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.kernels.batch import Buffered, replayed
-from casacal.kernels.c_source import filter_source
-from casacal.kernels.compiler import CompilerError
-from casacal.kernels.libraries import load_library
-from casacal.kernels.native_rows import PAD
+from casacal.kernels.block_rows import Buffered, replayed
+from casacal.kernels.libraries import CompilerError, load_library
+from casacal.kernels.native_rows import PAD, filter_source
 from casacal.kernels.program import read_program
 from casacal.least_squares.linalg import LEAST_LEFT
 

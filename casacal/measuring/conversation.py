@@ -27,8 +27,7 @@ from casacal.measuring.typed import (
     touch_of,
 )
 from casacal.planning.route import joints_shown
-from casacal.samples.layout import Layout
-from casacal.samples.write import WRITTEN
+from casacal.samples.samples import WRITTEN, Layout
 from casacal.wording import counted
 
 ALIKE = 1e-9  # mm or rad by which equal readings differ

@@ -19,8 +19,7 @@ from casacal.errors import CasacalError
 from casacal.measuring.known import Known, Places, known_before, known_from, places_of, telling
 from casacal.measuring.linear import POOL, LinearRows, ShiftedBelief, innovations_at, length, log_density, square
 from casacal.measuring.touch import Slip, Touch, rows_of
-from casacal.planning.choice import pool_of
-from casacal.planning.clearance import Clearance
+from casacal.planning.choice import Clearance, pool_of
 from casacal.planning.route import CHECK
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples

@@ -13,8 +13,7 @@ from casacal.array_types import Array
 from casacal.estimators.sckf import Belief
 from casacal.measuring.known import Known, covered
 from casacal.measuring.touch import Touch, rows_of
-from casacal.planning.choice import row_slopes
-from casacal.planning.exchange import gains
+from casacal.planning.choice import gains, row_slopes
 from casacal.samples.samples import Samples
 from casacal.uncertainty.fresh_rows import chance
 from casacal.values import Value

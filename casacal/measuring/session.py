@@ -13,8 +13,7 @@ from casacal.measuring.examine import Alarm, SessionSetting, SessionState, Suspe
 from casacal.measuring.known import Known, counts, known_before
 from casacal.measuring.linear import Pool, chance_of, error_below, expected_error, innovations_at, spectrum
 from casacal.measuring.touch import Slip, Touch, columns_of, joints_of, labels_of, rows_of, slips_of
-from casacal.planning.choice import refuse_several, wanted_field, wanted_joints
-from casacal.planning.clearance import Clearance
+from casacal.planning.choice import Clearance, refuse_several, wanted_field, wanted_joints
 from casacal.planning.route import CHECK, FIT, Route
 from casacal.problem.problem import Problem
 from casacal.simulation.cell import Disturbances

@@ -14,9 +14,7 @@ from casacal.errors import CasacalError, came, refuse_unknown
 from casacal.instruments.description import OVERTRAVEL, readings_within
 from casacal.planning.route import FIT
 from casacal.problem.problem import Problem
-from casacal.samples.layout import LARGEST, Layout
-from casacal.samples.samples import Samples
-from casacal.samples.write import WRITTEN
+from casacal.samples.samples import LARGEST, WRITTEN, Layout, Samples
 from casacal.values import FrozenMapping, Value, is_finite, read_only
 
 

@@ -15,9 +15,7 @@ from casacal.errors import CasacalError, SamplesError
 from casacal.files import place_whole, recover, together, writable, write_text
 from casacal.measuring.touch import Touch, rows_of
 from casacal.planning.route import CHECK, PURPOSES
-from casacal.samples.layout import Layout
-from casacal.samples.samples import Samples
-from casacal.samples.write import JOINT_DECIMALS, samples_text
+from casacal.samples.samples import JOINT_DECIMALS, Layout, Samples, samples_text
 from casacal.values import Value
 
 BESIDE = ("order", "touch", "purpose", "kept")

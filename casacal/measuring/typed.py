@@ -13,8 +13,7 @@ from casacal.instruments.description import Dimension
 from casacal.measuring.gauges import Gauge
 from casacal.measuring.touch import Touch
 from casacal.problem.problem import Problem
-from casacal.samples.layout import Layout
-from casacal.samples.write import WRITTEN
+from casacal.samples.samples import WRITTEN, Layout
 from casacal.wording import counted, sentence
 
 UNDO, KEEP, CORRECT, SKIP, QUIT, HELP = "undo", "keep", "correct", "skip", "quit", "help"

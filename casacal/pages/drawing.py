@@ -1,18 +1,21 @@
-"""Pictures as inline SVG: a panel with axes, and dots, bars, lines and squares on it."""
+"""Pages from templates, and pictures as inline SVG: panels with axes, dots, bars, lines, and maps of small squares."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from types import MappingProxyType
 from typing import TypeAlias
 
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
+from casacal.wording import capital, sized
 
 UNSHOWABLE = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff\u200e\u200f\u202a-\u202e\u2066-\u2069\ufdd0-\ufdef\ufffe\uffff]"
@@ -194,3 +197,144 @@ def picture(name: str, title: str, description: str, height: float, *parts: Mark
 def figure(caption: object, *pictures: Markup | None, key: Markup | None = None) -> Markup:
     """Key of the colours, pictures side by side where there is room, above one another where not, and their caption."""
     return tag("figure", key, tag("div", *pictures, at={"class": "pictures"}), tag("figcaption", caption))
+
+
+@dataclass(frozen=True)
+class Squares:
+    """Lower left corners (k,) of squares that hold a point, their side, and the mean of the values in each (k,)."""
+
+    x: Array
+    y: Array
+    side: float
+    values: Array
+
+
+def in_squares(points: Array, values: Array, most: int) -> Squares:
+    """Means of values (N,) over squares that points (N, 2) fall into, `most` of them along the longer side."""
+    low = points.min(axis=0)
+    side = max(float(np.ptp(points, axis=0).max()) / most, 1e-9) * (1 + 1e-9)
+    place = np.floor((points - low) / side).astype(np.int64)
+    distinct, which = np.unique(place, axis=0, return_inverse=True)
+    which = which.ravel()
+    mean = np.bincount(which, weights=values) / np.bincount(which)
+    return Squares(low[0] + side * distinct[:, 0], low[1] + side * distinct[:, 1], side, mean)
+
+
+SIZES = ("#dce8f2", "#b9d2e6", "#8cb6d6", "#5b95c2", "#3573a8", "#1d4f86", "#0d2d57")
+"""From small to large: light to dark."""
+SIGNS = ("#0b4a8f", "#4b88c4", "#a3c3e2", "#d4d4d4", "#f2bd8c", "#dc7f2e", "#9c4a05")
+"""From below to above: blue, grey, orange."""
+UNBOUNDED = "#5a0f3c"
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Colours of the steps between edges, of which there is one fewer; the outer steps are open."""
+
+    edges: tuple[float, ...]
+    colours: tuple[str, ...]
+
+    @staticmethod
+    def of_sizes(values: Array) -> Scale:
+        """Steps of a round number from zero to what nearly all values (N,) stay below."""
+        step = nice_ceiling(_top(values) / len(SIZES))
+        return Scale(tuple(step * k for k in range(1, len(SIZES))), SIZES)
+
+    @staticmethod
+    def of_signs(values: Array) -> Scale:
+        """Steps of a round number below and above zero, the outer ones for a few in a hundred values (N,)."""
+        middle = len(SIGNS) // 2
+        step = nice_ceiling(_top(np.abs(values)) / (middle + 0.5))
+        return Scale(tuple(step * k for k in range(-middle, middle + 1) if k), SIGNS)
+
+    def parts(self, values: Array) -> Iterator[tuple[str, Index]]:
+        """Each colour with the positions of the values (N,) that take it; unbounded ones come last."""
+        finite = np.isfinite(values)
+        step = np.searchsorted(np.array(self.edges), np.where(finite, values, 0.0), side="right")
+        for k, colour in enumerate(self.colours):
+            yield colour, np.flatnonzero(finite & (step == k))
+        yield UNBOUNDED, np.flatnonzero(~finite)
+
+    def key(self, name: str, words: str, *, unbounded: bool = False) -> Markup:
+        """Picture of the steps with the numbers between them."""
+        wide = (320.0 if unbounded else 364.0) / len(self.colours)
+        parts = []
+        for k, colour in enumerate(self.colours):
+            box = {"x": number(20 + k * wide), "y": "22", "width": number(wide), "height": "12", "fill": colour}
+            parts.append(tag("rect", at=box))
+        for k, words_here in enumerate(rounded(self.edges), 1):
+            parts.append(tag("text", words_here, at={"x": number(20 + k * wide), "y": "50", "class": "middle minor"}))
+        parts.append(tag("text", words, at={"x": "20", "y": "14", "class": "title"}))
+        if unbounded:
+            parts.append(tag("rect", at={"x": "352", "y": "22", "width": "30", "height": "12", "fill": UNBOUNDED}))
+            parts.append(tag("text", "unbounded", at={"x": "367", "y": "50", "class": "middle minor"}))
+        says = f"{len(self.colours)} steps of colour, divided at {', '.join(rounded(self.edges))} mm."
+        return tag("div", picture(name, words, says, 56.0, *parts), at={"class": "key"})
+
+
+def rounded(edges: Sequence[float]) -> list[str]:
+    """Edges with as many digits as the round step between them needs."""
+    step = min(abs(edge) for edge in edges)
+    digits = next(d for d in range(20) if math.isclose(round(step, d), step, rel_tol=1e-6))
+    return [f"{edge:.{digits}f}".replace("-", "−") for edge in edges]
+
+
+def _top(sizes: Array) -> float:
+    """Round number that the sizes stay below, but for the largest few in a hundred."""
+    finite = sizes[np.isfinite(sizes)]
+    return nice_ceiling(float(np.quantile(finite, 0.98))) if len(finite) else 1.0
+
+
+def fixed(value: float | None, digits: int = 4, *, signed: bool = False) -> str:
+    """Number with so many decimals; what is not finite is unbounded."""
+    if value is None or not math.isfinite(value):
+        return "unbounded"
+    shown = f"{value:+.{digits}f}" if signed else f"{value:.{digits}f}"
+    return shown.replace("-", "", 1) if float(shown) == 0 and shown.startswith("-") else shown
+
+
+def mm(value: float | None, digits: int = 3) -> str:
+    """Length with its unit."""
+    shown = fixed(value, digits)
+    return shown if shown == "unbounded" else f"{shown} mm"
+
+
+def shown_unit(unit: str) -> tuple[str, float]:
+    """Unit a person reads in place of the one inside, and the factor to it: degrees for radians."""
+    return ("deg", 180 / math.pi) if unit == "rad" else (unit, 1.0)
+
+
+def count(number: int, word: str) -> str:
+    """Number with its noun: 1 row, 2 rows, 1,000 rows."""
+    return f"{number:,} {word}{'' if number == 1 else 's'}"
+
+
+def shortened(words: str, longest: int) -> str:
+    """Words that take no more than so many characters."""
+    return words if len(words) <= longest else words[: max(longest - 1, 1)] + "…"
+
+
+def rendered(template: str, context: Mapping[str, object]) -> str:
+    """A page from templates/, or a part of one, that needs no other file, no network and no script."""
+    return _templates().get_template(template).render(context)
+
+
+def plain_text(template: str, context: Mapping[str, object]) -> str:
+    """A text from templates/ with what it is given as it stands."""
+    return _templates().overlay(autoescape=False, finalize=None).get_template(template).render(context)
+
+
+@cache
+def _templates() -> Environment:
+    made = Environment(
+        loader=PackageLoader("casacal.pages"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=showable,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    made.filters |= {"fixed": fixed, "mm": mm, "count": count, "shortened": shortened}
+    made.filters |= {"capital": capital, "sized": sized}
+    return made

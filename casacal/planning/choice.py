@@ -1,31 +1,208 @@
-"""Touches that the arm can make and keep clear, and the choice among them."""
+"""Touches that the arm can make and keep clear, and the choice among them by exchange (Fedorov 1972), I-optimal.
+
+An arm is a chain of rods between its axes, as thick as is said; see `casacal.robots.links`. Points along the rods are
+looked at, so that what is closer than half a spacing may pass unseen: give the links a little more than they measure.
+
+With C the posterior covariance of the unknowns and M the weight of their errors, trace(C M) is the mean squared error
+of what is asked for (Atkinson, Donev and Tobias, Optimum Experimental Designs, 2007, chapter 10). A row a (m, n), the m
+whitened residuals of one measurement, lowers it by trace((1 + a C a')^-1 a C M C a'); without it, it rises likewise.
+Rows are exchanged one by one for the best of all others until none is better. From nothing, one by one, such plans stay
+on one face for ever: the first rows on another one tell of that face alone, and earn nothing. So they start at random.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index, Rows
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.nominal import nominal_tips
 from casacal.binding.slots import instances
 from casacal.errors import CasacalError, SimulationError, came
 from casacal.instruments.description import Probe
-from casacal.planning.clearance import Clearance
-from casacal.planning.exchange import Chosen, Criterion, error_of, exchange
 from casacal.problem.problem import Problem
-from casacal.robots.links import STILL, above_table
+from casacal.robots.links import STILL, above_table, nodes_of
+from casacal.robots.robot import Robot
 from casacal.samples.samples import Samples, joined
 from casacal.simulation.cell import Cell, Disturbances
 from casacal.simulation.reach import TouchingArm
 from casacal.simulation.simulate import simulate
-from casacal.simulation.touches import default_cell
-from casacal.simulation.true_arm import true_unknowns
+from casacal.simulation.touches import default_cell, true_unknowns
 from casacal.uncertainty.expectation import Box, joints_in_box
 from casacal.uncertainty.workspace import up_to_base, workspace_joints
+from casacal.values import Value, is_real
+
+ALONG = 12  # points looked at on every rod, its ends among them
+
+
+@dataclass(frozen=True, eq=False)
+class Clearance(Value):
+    """What an arm must keep clear of.
+
+    boxes: ranges of x, y, z (mm, base frame) where neither arm nor tool may be. link_radius: how thick its links are,
+    mm, or None where only its tip and flange are looked at. The last link and the tool may come near a face.
+    """
+
+    boxes: tuple[Box, ...] = ()
+    link_radius: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "boxes", tuple(self.boxes))
+        for box in self.boxes:
+            try:
+                low, high = np.array(box, dtype=np.float64).T
+                sound = low.shape == (3,) and bool((low < high).all())
+            except (TypeError, ValueError):
+                sound = False
+            if not sound:
+                raise CasacalError(f"The box to keep out of is {box!r}", "Give ranges of x, y and z in mm, each rising")
+        radius = self.link_radius
+        if radius is not None and not (is_real(radius) and 0 < radius < math.inf):
+            raise CasacalError(f"The links' radius is {radius!r}", "Give a positive number of mm")
+
+    def clear(self, robot: Robot, cell: Cell | None, joints: Array, tips: Array) -> Rows:
+        """Which postures (N, n; rad, mm) keep clear, whose tips (N, 3, mm) touch faces of a cell."""
+        good = np.ones(len(joints), dtype=bool)
+        if not self.boxes and self.link_radius is None:
+            return good
+        nodes = nodes_of(robot, joints)
+        rods = np.concatenate([nodes, tips[:, None]], axis=1)
+        if self.link_radius is None:
+            return good & ~_inside(rods[:, -2:], self.boxes, 0.0)
+        part = np.linspace(0, 1, ALONG)[:, None]
+        points = rods[:, :-1, None] * (1 - part) + rods[:, 1:, None] * part  # on rods: (N, rods, ALONG, 3)
+        count, radius = len(joints), self.link_radius
+        good &= ~_inside(points.reshape(count, -1, 3), self.boxes, radius)
+        if cell is not None:
+            arm = points[:, :-2].reshape(count, -1, 3)  # the last link holds the tool, which is what touches
+            for face in cell.faces:
+                good &= ~near_face(arm, np.asarray(face.centre), face.axes, np.asarray(face.size) / 2, radius)
+        return good & ~_near_itself(points, radius)
+
+
+def _inside(points: Array, boxes: Sequence[Box], radius: float) -> Rows:
+    """Whether any point (N, k, 3) is nearer to a box than a radius."""
+    found = np.zeros(len(points), dtype=bool)
+    for box in boxes:
+        low, high = np.array(box, dtype=np.float64).T
+        beyond = np.maximum(np.maximum(low - points, points - high), 0.0)
+        found |= (np.linalg.norm(beyond, axis=2) <= radius).any(axis=1)
+    return found
+
+
+def near_face(points: Array, centre: Array, axes: Array, half: Array, radius: float) -> Rows:
+    """Whether any point (N, k, 3) is nearer to a rectangular face than a radius, or behind it."""
+    local = (points - centre) @ axes.T
+    aside = np.linalg.norm(np.maximum(np.abs(local[..., 1:]) - half, 0.0), axis=-1)
+    near = np.hypot(aside, np.maximum(local[..., 0], 0.0)) <= radius
+    behind = (local[..., 0] < 0) & (aside <= radius) & (local[..., 0] > -2 * radius)
+    return np.asarray((near & (local[..., 0] >= 0) | behind).any(axis=1))
+
+
+def _near_itself(points: Array, radius: float) -> Rows:
+    """Whether rods that do not follow one another are nearer than two radii; those shorter than that are no rods."""
+    count, rods = points.shape[:2]
+    found = np.zeros(count, dtype=bool)
+    long = [k for k in range(rods) if float(np.linalg.norm(points[0, k, -1] - points[0, k, 0])) > 2 * radius]
+    for place, first in enumerate(long):
+        for second in long[place + 2 :]:
+            apart = np.linalg.norm(points[:, first, :, None] - points[:, second, None], axis=-1)
+            found |= (apart < 2 * radius).any(axis=(1, 2))
+    return found
+
+
+SWEEPS = 10  # times that every row of a plan is tried against all others
+BETTER = 1e-7  # part of the error by which an exchange must lower it
+
+
+class Criterion(Enum):
+    """What a plan makes small: the mean error of what is asked for, or the volume of what the unknowns may be."""
+
+    TIP = "tip"
+    """Trace of C M: I-optimal."""
+    PARAMETERS = "parameters"
+    """Determinant of C: D-optimal."""
+
+
+@dataclass(frozen=True)
+class Exchanged:
+    """Rows of a plan (k,), the error that they leave (root of trace C M), and what was made small."""
+
+    rows: Index
+    error: float
+    loss: float
+
+
+def exchange(
+    rows: Array,
+    known: Array,
+    weight: Array,
+    start: Index,
+    *,
+    criterion: Criterion = Criterion.TIP,
+    barred: Rows | None = None,
+) -> Exchanged:
+    """Improve a plan until no single exchange does.
+
+    rows: whitened slopes of every measurement that could be made (N, m, n). known: information (n, n) that there is
+    without them, positive definite. weight: M (n, n). start: the plan to begin with (k,), no row twice. barred: which
+    measurements (N,) must not be taken.
+    """
+    plan, free = start.copy(), np.ones(len(rows), dtype=bool)
+    free[plan] = False
+    if barred is not None:
+        free[barred] = False
+    for _ in range(SWEEPS):
+        changed = False
+        for place in range(len(plan)):
+            rest = np.delete(plan, place)
+            covariance: Array = np.asarray(np.linalg.inv(_information(rows[rest], known)), dtype=np.float64)
+            others = gains(rows, covariance, weight, criterion)
+            others[~free] = -np.inf
+            present = float(gains(rows[plan[place]][None], covariance, weight, criterion)[0])
+            best = int(np.argmax(others))
+            left = float(np.trace(covariance @ weight)) - present if criterion is Criterion.TIP else 1.0
+            if others[best] > present + BETTER * left:
+                free[plan[place]], free[best] = barred is None or not barred[plan[place]], False
+                plan[place], changed = best, True
+        if not changed:
+            break
+    error = error_of(rows[plan], known, weight)
+    loss = error if criterion is Criterion.TIP else -float(np.linalg.slogdet(_information(rows[plan], known))[1])
+    return Exchanged(plan, error, loss)
+
+
+def error_of(rows: Array, known: Array, weight: Array) -> float:
+    """Root of trace(C M) that some rows (k, m, n) leave."""
+    return float(np.sqrt(np.trace(np.linalg.solve(_information(rows, known), weight))))
+
+
+def _information(rows: Array, known: Array) -> Array:
+    flat = rows.reshape(-1, known.shape[0])
+    return np.asarray(known + flat.T @ flat)
+
+
+def gains(rows: Array, covariance: Array, weight: Array, criterion: Criterion = Criterion.TIP) -> Array:
+    """By how much each measurement (N, m, n) lowers trace(C M), or the logarithm of the determinant of C: (N,)."""
+    size, unknowns = rows.shape[1:]
+    flat = rows.reshape(-1, unknowns)
+    seen = flat @ covariance
+    moved = seen @ weight  # in one product: a stack of small ones takes many times as long
+    if size == 1:
+        spread = 1 + np.einsum("kn,kn->k", seen, flat)
+        return np.asarray(np.log(spread) if criterion is Criterion.PARAMETERS else (moved * seen).sum(axis=1) / spread)
+    seen, moved = seen.reshape(rows.shape), moved.reshape(rows.shape)
+    spread = np.einsum("kin,kjn->kij", seen, rows) + np.eye(size)
+    if criterion is Criterion.PARAMETERS:
+        return np.asarray(np.linalg.slogdet(spread)[1])
+    told = np.einsum("kin,kjn->kij", moved, seen)
+    return np.asarray(np.trace(np.linalg.solve(spread, told), axis1=1, axis2=2))
+
 
 ROUNDS = 20  # times that more touches are drawn where some do not keep clear
 RARE = 0.05  # part of all that must keep clear, or a plan makes no sense
@@ -161,7 +338,7 @@ class Choice:
         weight[: slopes.shape[1], : slopes.shape[1]] = slopes.T @ slopes / (len(slopes) / 3)
         return Choice(row_slopes(extra, x), np.asarray(held), weight)
 
-    def error(self, chosen: Chosen) -> float:
+    def error(self, chosen: Index) -> float:
         """Tip error (mm RMS) that some measurements leave."""
         return error_of(self.rows[chosen], self.known, self.weight)
 
@@ -171,15 +348,15 @@ class Choice:
         starts: int,
         rng: np.random.Generator,
         criterion: Criterion = Criterion.TIP,
-        barred: NDArray[np.bool_] | None = None,
-    ) -> Chosen:
+        barred: Rows | None = None,
+    ) -> Index:
         """So many measurements, the best of some exchanges; none of those that are barred (N,)."""
         there = np.arange(len(self.rows)) if barred is None else np.flatnonzero(~barred)
         begins = [rng.choice(there, count, replace=False) for _ in range(starts)]
         found = (exchange(self.rows, self.known, self.weight, k, criterion=criterion, barred=barred) for k in begins)
         return min(found, key=lambda each: each.loss).rows
 
-    def curve(self, best: Chosen, rng: np.random.Generator, criterion: Criterion = Criterion.TIP) -> dict[int, float]:
+    def curve(self, best: Index, rng: np.random.Generator, criterion: Criterion = Criterion.TIP) -> dict[int, float]:
         """Error by number of measurements: half and a quarter as many, these, and half as many again."""
         found = {len(best): self.error(best)}
         for count in sorted({max(round(len(best) * part), 3) for part in (0.25, 0.5, 0.75, 1.5)} - {len(best)}):
@@ -187,14 +364,14 @@ class Choice:
                 found[count] = self.error(self.best_of(count, 1, rng, criterion))
         return dict(sorted(found.items()))
 
-    def lost(self, best: Chosen, part: float, draws: int, rng: np.random.Generator) -> float:
+    def lost(self, best: Index, part: float, draws: int, rng: np.random.Generator) -> float:
         """Error, RMS over some draws, when a part of the measurements is lost at random."""
         left = max(len(best) - max(round(part * len(best)), 1), 1)
         errors = [self.error(rng.choice(best, left, replace=False)) for _ in range(draws)]
         return float(np.sqrt(np.mean(np.square(errors))))
 
 
-def seldom(problem: Problem, pool: Samples, chosen: Chosen) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def seldom(problem: Problem, pool: Samples, chosen: Index) -> tuple[Rows, Rows]:
     """Measurements of a pool (N,) of faces that the chosen ones touch too seldom to say where they are.
 
     Such touches place the face at best, and tell nothing of the arm. Of all such faces, and of the one that is touched

@@ -9,25 +9,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.noise_scale import OTHERS, by_face, times
 from casacal.binding.seen import Seen, seen
+from casacal.binding.slots import Slot, make_slots
 from casacal.errors import CasacalError
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.planning.choice import Choice
-from casacal.planning.estimate import Estimate
-from casacal.planning.extra_touches import CalibratedCell
-from casacal.planning.set_ups import EXTRA_TOUCHES, Offer, more_samples, offers
+from casacal.planning.set_ups import EXTRA_TOUCHES, CalibratedCell, Offer, more_samples, offers
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.simulation.bench import bench_of
 from casacal.simulation.cell import Cell, Disturbances
-from casacal.simulation.rows import exact_rows
-from casacal.simulation.true_arm import Draw
+from casacal.simulation.simulate import exact_rows
+from casacal.simulation.touches import Draw
 from casacal.uncertainty.discrepancy import MANY
 from casacal.uncertainty.identifiability import NullDirection, WeakDirection, prior_scale
 from casacal.uncertainty.workspace import tip_stds, tool_unknowns, without_rigid, workspace_joints
@@ -160,7 +160,7 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[CureOutcome]:
             more = weight * EXTRA_TOUCHES / len(bound.samples[0])
             yield CureOutcome(kind, f"{EXTRA_TOUCHES} {how}", EXTRA_TOUCHES, (1 + more) * told, arm.prior_information)
         return
-    known, field = Estimate(bound, x, told), _field(arm, at)
+    field = _field(arm, at)
     pools: dict[Cell | None, Samples | None] = {None: samples}
     for offer in more_samples(bound.problem) if touched is None else offers(bound, touched):
         if offer.cell not in pools and touched is not None and offer.cell is not None:
@@ -169,20 +169,59 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[CureOutcome]:
         if pool is None:
             continue
         try:
-            yield _planned(known, offer, pool, field)
+            extra, stand, before = _with_rows(bound, x, told, offer, pool)
+            best = Choice.on_top(extra, stand, before, field).best_of(offer.touches, 1, np.random.default_rng(0))
+            after = before + extra.take(best).information(stand)
+            kept = pool.take(best)
+            yield CureOutcome(
+                offer.kind, offer.words, offer.touches, after, extra.prior_information, kept, offer.problem
+            )
         except CasacalError:  # such as a plunger that would lie in the face
             continue
 
 
-def _planned(known: Estimate, offer: Offer, pool: Samples, field: Array) -> CureOutcome:
-    """What the touches of an offer leave that are best of a pool, for a tip that errs by `field` (3M, s)."""
-    faces = () if offer.cell is None else offer.cell.faces
-    extra, x, told = known.with_rows(offer.problem, faces, pool, offer.noise)
-    choice = Choice.on_top(extra, x, told, field)
-    best = choice.best_of(offer.touches, 1, np.random.default_rng(0))
-    after = told + extra.take(best).information(x)
-    kept = pool.take(best)
-    return CureOutcome(offer.kind, offer.words, offer.touches, after, extra.prior_information, kept, offer.problem)
+def _with_rows(
+    bound: BoundProblem, x: Array, told: Array, offer: Offer, rows: Samples
+) -> tuple[BoundProblem, Array, Array]:
+    """Extra rows (N) of an offer, bound; where they stand (m,); information (m, m) that there is without them.
+
+    x, told: the estimate (n,) and what the samples tell there (n, n). The rows' noise is what was found, times a
+    factor. What they alone see, such as a new face, comes last.
+    """
+    problem, old = offer.problem, dict[str, Slot]()
+    faces, instrument = () if offer.cell is None else offer.cell.faces, problem.instrument
+    for slot in bound.slots:  # as the instrument with a face for each label has them
+        unknown = instrument.unknowns.get(slot.key)
+        if slot.label is None and unknown is not None and unknown.per is not None:
+            slot = replace(slot, unknown=unknown, label="plane")
+        old[slot.name] = slot
+    known, new = {slot.label for slot in old.values()}, list[Slot]()
+    strange = {face.label: face for face in faces if face.label not in known}
+    own = rows.faces(instrument.groups)
+    there = np.flatnonzero(np.isin(own.codes, [k for k, label in enumerate(own.names) if label in strange]))
+    for slot in make_slots(problem, [rows.take(there)]) if strange else ():
+        if slot.label in strange and slot.unknown.nominal_plane(slot.nominal) is not None:
+            face = strange[slot.label]
+            slot = replace(slot, nominal=slot.unknown.placed(np.asarray(face.centre), face.axes[0]))
+        new += [] if slot.name in old else [slot]
+    slots, stand = _in_row([*old.values(), *new], np.concatenate([x, np.zeros(sum(s.unknown.size for s in new))]))
+    # the noise of a new face is the mean square of that of the others
+    found = list(by_face(bound.scale).values())
+    others = math.sqrt(float(np.mean(np.square(found)))) if found else 1.0
+    scale = times({OTHERS: others, **bound.scale}, offer.noise)
+    information = np.zeros((stand.size, stand.size))
+    information[: x.size, : x.size] = told
+    return BoundProblem(problem, slots, (rows,), "blocks", scale=scale), stand, information
+
+
+def _in_row(slots: Sequence[Slot], x: Array) -> tuple[tuple[Slot, ...], Array]:
+    """Slots one after the other, and their part of x (n,); new slots stand at the end of it."""
+    placed, parts, first = [], [], 0
+    for slot in slots:
+        placed.append(replace(slot, first=first))
+        parts.append(x[slot.columns])
+        first += slot.unknown.size
+    return tuple(placed), np.concatenate(parts)
 
 
 def _field(arm: Seen, at: Array) -> Array:

@@ -1,31 +1,44 @@
-"""A plan: which touches to make so that the tip is known best where it is wanted, and in which order."""
+"""A plan: which touches make the tip known best where it is wanted, how many, in which order; in words and a file."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index, Rows
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.nominal import nominal_tips
 from casacal.binding.slots import instances, make_slots
 from casacal.errors import CasacalError, came, refuse_unknown
-from casacal.planning.choice import Choice, cell_of, pool_of, refuse_several, seldom, wanted_joints
-from casacal.planning.clearance import Clearance
-from casacal.planning.exchange import Chosen, Criterion
-from casacal.planning.route import AGAIN, CHECK, FIT, Route, shortest_way
+from casacal.files import write_text
+from casacal.instruments.description import readings_within
+from casacal.planning.choice import (
+    Choice,
+    Clearance,
+    Criterion,
+    cell_of,
+    drawn_touch,
+    pool_of,
+    refuse_several,
+    seldom,
+    wanted_joints,
+)
+from casacal.planning.route import AGAIN, CHECK, FIT, Route, postures_text, shortest_way, touches_needed
+from casacal.planning.set_ups import POOL, SetUp, worth_most
 from casacal.problem.problem import Problem
+from casacal.robots.links import is_chain
 from casacal.samples.samples import Samples, joined
 from casacal.simulation.cell import Cell, Disturbances
 from casacal.uncertainty.expectation import Box
 from casacal.values import FrozenMapping, is_real
-from casacal.wording import html_table
+from casacal.wording import METRE, UNBOUNDED, html_table
 
 DRAWS = 8  # random plans of as many touches, for comparison; draws of what is lost
 LOST = 0.1  # part of the fitted touches of which it is said what losing them costs
@@ -171,7 +184,7 @@ def _enough_of_each(
     starts: int,
     rng: np.random.Generator,
     criterion: Criterion,
-) -> tuple[Chosen, NDArray[np.bool_]]:
+) -> tuple[Index, Rows]:
     """The best plan that touches each of its faces often enough to say where it is, and what it leaves out (N,).
 
     Fewer touches of a face tell nothing of the arm, so that an exchange leaves them where they were at random.
@@ -188,7 +201,7 @@ def _enough_of_each(
 TRIES = 20  # draws of what is kept to verify, until one places all that it touches
 
 
-def kept_to_verify(problem: Problem, pool: Samples, left: Chosen, count: int, rng: np.random.Generator) -> Chosen:
+def kept_to_verify(problem: Problem, pool: Samples, left: Index, count: int, rng: np.random.Generator) -> Index:
     """So many of the measurements that are left, drawn at random, of as many faces, points or anchors as they place.
 
     `verify` finds each of these anew from its own rows, and takes none with fewer than that needs. Where no draw
@@ -238,3 +251,222 @@ def _refuse(touches: int, pool: int, starts: int, again: float, check: float) ->
             raise CasacalError(f"Got {came(part)} as the part '{what}'", "Give a number from 0 to below 1")
     if touches - round(check * touches) - round(again * touches) < 3:
         raise CasacalError(f"Fewer than three of {touches} touches are fitted", "Ask for more, or check fewer")
+
+
+CANDIDATES = 1000  # touches among which is chosen
+SPARE = 1.5  # times as many as there must be, so that rows also tell the noise and single bad ones show
+AVERAGED = 0.8  # error over that of two thirds as many, from which little but noise is averaged: sqrt(2/3) = 0.82
+ON_TOP = 24  # touches that are made on top of others at least: a quarter of an hour of work
+MOST = 120  # touches to be fitted that nobody is told to make unasked
+
+
+def touches_for(
+    problem: Problem,
+    cell: Disturbances | None = None,
+    tolerance: float | None = None,
+    *,
+    box: Box | None = None,
+    targets: Array | None = None,
+    after: Samples | None = None,
+    loose: Mapping[str, float] | None = None,
+    most: int = 240,
+) -> int:
+    """About the fewest touches to be fitted that bring the expected tip error below a tolerance, mm RMS.
+
+    Without a tolerance, as many as tell more than the noise of the others averaged: where noise alone is left, half as
+    many again leave sqrt(2/3) of the error. Then never fewer than half as many again as `calibrate` takes at least,
+    and, unless that is more, at most 120.
+
+    box, targets, after, loose: as for `plan`. Raises CasacalError where so many as `most` miss the tolerance.
+    """
+    refuse_several(problem, "A plan is for one instrument", "Plan for", box, targets)
+    if tolerance is not None and not (is_real(tolerance) and 0 < tolerance < math.inf):
+        shown = f"{tolerance:g}" if is_real(tolerance) else came(tolerance)
+        raise CasacalError(f"Got {shown} as the tolerance", "Give a positive number of mm")
+    pool = pool_of(problem, cell, CANDIDATES, 0)
+    bound = bound_pool(problem, pool, after, loose)
+    choice = Choice.of(bound, wanted_joints(bound, box, targets), count=len(pool), loose=loose)
+    rng = np.random.default_rng(0)
+    if tolerance is None:  # from the least on, until more of them only average noise
+        count = ON_TOP if after is not None else math.ceil(SPARE * touches_needed(problem, pool))
+        left = choice.error(choice.best_of(count, 1, rng))
+        while count < MOST:
+            more = min(math.ceil(count * 1.5), MOST)
+            then = choice.error(choice.best_of(more, 1, rng))
+            if then > AVERAGED * left:
+                break
+            count, left = more, then
+        return count
+    count = 3 if after is not None else 12
+    while count < most:
+        if choice.error(choice.best_of(count, 1, rng)) <= tolerance:
+            return count
+        count = min(max(math.ceil(count * 1.25), count + 1), most)
+    left = choice.error(choice.best_of(most, 1, rng))
+    if left > tolerance:
+        what = f"{most} best touches leave {left:.3g} mm, more than {tolerance:g} mm"
+        raise CasacalError(what, "Ask for less, measure with less noise, or add a face, a step or another instrument")
+    return most
+
+
+FLAT = 0.93  # error over that of fewer touches above which more bring little
+
+ENDS = 0.7  # error of all candidates over that of a number, below which a flat part is not the end of the curve
+
+
+def told(
+    plan: Plan,
+    compared: Sequence[SetUp],
+    *,
+    where: str,
+    pool: int,
+    after: bool,
+    every: bool = True,
+    kept_clear: bool = False,
+) -> list[str]:
+    """Sentences: the set-up that is worth most, how many, what to expect, the curve and where it flattens.
+
+    where: where the tip is wanted, in words. pool: among how many was chosen. after: whether others were made before.
+    every: whether all set-ups are listed, not only one that is much better. kept_clear: whether touches keep clear of
+    something, which set-ups are compared without.
+    """
+    fitted, check, again = (plan.purposes.count(purpose) for purpose in (FIT, CHECK, AGAIN))
+    without = "Without them" if after else "Priors alone"
+    alone = f"{plan.before:.3g} mm" if plan.before < METRE else UNBOUNDED
+    left = ", ".join(f"{count} {error:.3g}" for count, error in plan.curve.items())
+    flat = [few for few, many in pairwise(sorted(plan.curve)) if plan.curve[many] > FLAT * plan.curve[few]]
+    flat = [few for few in flat if plan.best > ENDS * plan.curve[few]]  # or it only seems so, and many more gain much
+    left += f"; more than {flat[0]} gain little" if flat else ""
+    better = worth_most(compared) if compared else None
+    said = [] if better is None else [_advice(*better, fitted, kept_clear)]
+    said += [
+        f"{len(plan)} touches: {fitted} to fit, {again} of them once more, {check} kept to verify",
+        f"Expect a tip error of {plan.error:.3g} mm RMS {where}, apart from the position of the base, if the stated "
+        "noise and priors are right; effects beside the geometry are not counted",
+        f"{without}: {alone}; the same number at random: {plan.at_random:.3g} mm; all {pool} candidates: "
+        f"{plan.best:.3g} mm",
+        f"On arms that differ from the drawing as the priors allow: {plan.over_arms:.3g} mm; with a tenth of the "
+        f"touches lost: {plan.if_lost:.3g} mm",
+        f"Number of fitted touches and expected tip error, mm: {left}",
+    ]
+    if compared and every:
+        said.append(
+            f"Set-ups, each with {fitted} fitted touches of {POOL} candidates, with the table alone to clear, and "
+            f"none made before; so these figures compare with one another, not with the plan above, chosen of {pool}:"
+        )
+    for each in compared if every else ():
+        reach = "this arm cannot touch it" if math.isinf(each.error) else f"{each.error:.3g} mm"
+        said.append(f"  {reach}: {each.words}")
+    return said
+
+
+def _advice(best: SetUp, now: SetUp, fitted: int, kept_clear: bool) -> str:
+    """What another set-up would be worth."""
+    without = "; both ignore what must be kept clear of" if kept_clear else ""
+    now_is = f"{now.error:.3g} mm as it is" if math.isfinite(now.error) else "this one is out of reach"
+    return (
+        f"Consider another set-up first ({best.words}): with {fitted} fitted touches of {POOL} candidates it leaves "
+        f"{best.error:.3g} mm, {now_is}{without}"
+    )
+
+
+def where_faces_stand(plan: Plan, problem: Problem) -> list[dict[str, Any]]:
+    """Each face of a plan: label, centre_mm (3), normal (3), size_mm (2), and off_mm, for JSON.
+
+    off_mm: how far the real face may stand off along its normal, from and to, mm, until the first touch leaves the
+    range of the dial in the posture that was planned; None where there is no dial.
+    """
+    probe, cell, found = problem.instrument.probe, plan.cell, list[dict[str, Any]]()
+    if probe is None or not isinstance(cell, Cell):
+        return found
+    arm, readings, tips, _ = drawn_touch(problem, probe, plan.samples)
+    beyond, _ = arm.place(arm.local, plan.samples.joints, readings[:, None] + 1)
+    ends = readings_within(probe.travel if cell.travel is None else cell.travel)
+    rows = plan.samples.faces(problem.instrument.groups).rows()
+    for face in cell.faces:
+        touched = rows.get(face.label, np.arange(len(plan)) if len(cell.faces) == 1 else np.zeros(0, dtype=int))
+        off = None
+        if probe.column is not None and len(touched):
+            rise = (beyond - tips)[touched] @ face.axes[0]
+            ways = np.sort([(end - readings[touched]) * rise for end in ends], axis=0)
+            off = [float(ways[0].max()), float(ways[1].min())]
+        found.append({"label": face.label, "centre_mm": face.centre, "normal": face.axes[0], "size_mm": face.size})
+        found[-1] |= {"touches": len(touched), "off_mm": off}
+    return found
+
+
+def links_checked(clearance: Clearance | None) -> bool:
+    """Whether links were looked at, as rods of some thickness."""
+    return clearance is not None and clearance.link_radius is not None
+
+
+def cell_words(plan: Plan, problem: Problem, clearance: Clearance | None) -> list[str]:
+    """What was kept clear of, and where each face stands: sentences for whoever sets up the cell and runs the plan."""
+    table, said = plan.cell.table, list[str]()
+    if not links_checked(clearance):
+        kept = "joints, flange and tip are" if is_chain(problem.robot) else "the tip is"
+        limit = f"only {kept} kept above the table at z = {table:g} mm" if table > -math.inf else "nothing is looked at"
+        said.append(
+            f"Collisions not checked: of the arm {limit}; links, cables and what stands around were not looked at. Go "
+            "through the plan slowly, or give --link-radius and --keep-out"
+        )
+    faces = where_faces_stand(plan, problem)
+    for each in faces:
+        (x, y, z), (u, v, w), (wide, deep) = each["centre_mm"], each["normal"], each["size_mm"]
+        place = f"centre ({x:.0f}, {y:.0f}, {z:.0f}) mm, normal ({u:.3f}, {v:.3f}, {w:.3f}), {wide:.0f} x {deep:.0f} mm"
+        off = each["off_mm"]
+        may = "" if off is None else f"; may stand off by {off[0]:+.1f} to {off[1]:+.1f} mm along its normal"
+        said.append(f"Face {each['label']}: {place}{may}")
+    if faces:
+        said.append(
+            "Places are in the base frame. Where a real face stands further off, bring the tip to it along the plunger "
+            "and take the joint values that the controller shows: the fit finds the face"
+        )
+    return said
+
+
+def document(
+    plan: Plan, problem: Problem, compared: Sequence[SetUp], written: Sequence[str], clearance: Clearance | None = None
+) -> dict[str, Any]:
+    """The same for another program."""
+    counts = {purpose: plan.purposes.count(purpose) for purpose in dict.fromkeys(plan.purposes)}
+    errors = {
+        "expected": plan.error,
+        "at_random": plan.at_random,
+        "before": plan.before,
+        "of_all": plan.best,
+        "if_a_tenth_is_lost": plan.if_lost,
+        "over_arms": plan.over_arms,
+    }
+    curve = [{"touches": count, "expected_mm": error} for count, error in plan.curve.items()]
+    found: dict[str, Any] = {"touches": counts, "tip_rms_mm": errors, "curve": curve, "written": list(written)}
+    found |= {"table_mm": plan.cell.table, "collisions_checked": links_checked(clearance)}
+    found["faces"] = where_faces_stand(plan, problem)
+    if compared:
+        found["setups"] = [{"words": each.words, "expected_mm": each.error} for each in compared]
+    return found
+
+
+def plan_text(plan: Plan, problem: Problem, name: str, clearance: Clearance | None = None) -> str:
+    """The plan as CSV: number, purpose, joints (degrees, mm), readings to expect, labels; above them where faces stand.
+
+    problem: with the one instrument that it was made for. name: of the problem. Readings have other names than in
+    samples, so that a plan cannot be taken for a measurement.
+    """
+    layout, approach = problem.layout(), problem.instrument.words.approach
+    notes = [
+        f"planned by casacal for {name}: not a measurement",
+        f"table at z = {plan.cell.table:g} mm",
+        f"expected tip error {plan.error:.4g} mm RMS, apart from the position of the base, if stated noise and priors "
+        f"are right; of as many at random {plan.at_random:.4g} mm",
+        *cell_words(plan, problem, clearance),
+        f"bring the arm to each posture; {f'{approach}; ' if approach else ''}write down the joint values that the "
+        f"controller shows{', and the reading' if layout.columns else ''}",
+        "purpose fit: for calibration; again: the same touch repeated at the end; check: kept for casacal verify",
+    ]
+    return postures_text(plan.samples, plan.purposes, layout, notes)
+
+
+def write_plan(path: str | Path, plan: Plan, problem: Problem, name: str, clearance: Clearance | None = None) -> None:
+    """Write `plan_text` to a file, whole or not at all."""
+    write_text(path, plan_text(plan, problem, name, clearance))

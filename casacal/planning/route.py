@@ -8,17 +8,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.binding.slots import instances
 from casacal.errors import CasacalError, SamplesError
 from casacal.problem.problem import Problem
-from casacal.robots.joint_space import joint_units
-from casacal.robots.robot import Robot
-from casacal.samples.layout import Layout
-from casacal.samples.samples import Samples
-from casacal.samples.write import WRITTEN, samples_text
+from casacal.robots.robot import Robot, joint_units
+from casacal.samples.samples import WRITTEN, Layout, Samples, samples_text
 from casacal.tables.read import read_columns
 from casacal.values import Value
 
@@ -109,7 +105,7 @@ def refuse_plan_of_another(path: str | Path, name: str, table: float) -> None:
 SWEEPS = 40  # times that all pairs of steps are looked at
 
 
-def shortest_way(robot: Robot, joints: Array) -> NDArray[np.intp]:
+def shortest_way(robot: Robot, joints: Array) -> Index:
     """An order (N,) of postures (N, n; rad, mm) that is short: the nearest next, then crossings undone (2-opt).
 
     What counts is the joint that has furthest to go, which takes longest; `AXIS_WEIGHT` mm of a sliding joint count as
@@ -129,7 +125,7 @@ def shortest_way(robot: Robot, joints: Array) -> NDArray[np.intp]:
     return _uncrossed(np.array(order), apart)
 
 
-def _uncrossed(order: NDArray[np.intp], apart: Array) -> NDArray[np.intp]:
+def _uncrossed(order: Index, apart: Array) -> Index:
     """The same with parts of the way turned round while that makes it shorter; the first posture stays."""
     count = len(order)
     for _ in range(SWEEPS):

@@ -14,8 +14,7 @@ import casadi as ca
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument
 from casacal.kernels.backend import VARIABLE, row_kernels
-from casacal.kernels.batch import Batch
-from casacal.kernels.block_rows import Columnwise, CurvatureKernel
+from casacal.kernels.block_rows import Batch, Columnwise, CurvatureKernel
 from casacal.kernels.filter_passes import Cubature
 from casacal.kernels.rows import Kernels
 from casacal.kinematics import position

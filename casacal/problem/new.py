@@ -12,13 +12,11 @@ from pathlib import Path
 
 from casacal.errors import CasacalError, ProblemError
 from casacal.files import writable
-from casacal.pages.render import plain_text
+from casacal.pages.drawing import plain_text
 from casacal.problem.problem_file import load_problem
 from casacal.problem.problem_text import Given, angles, conventions, imported, listed, quoted, tuple_of, word
-from casacal.robots.dh_table import DHTable
-from casacal.robots.files.dh_fields import degrees, plain
-from casacal.robots.files.dh_text import read_dh_file
-from casacal.robots.urdf_chain import UrdfChain
+from casacal.robots.dh_table import DHTable, degrees, plain, read_dh_file
+from casacal.robots.urdf import UrdfChain
 from casacal.values import EMPTY
 
 

@@ -18,8 +18,7 @@ from casacal.problem.compile import RowModel
 from casacal.problem.symbols import Compiled, Symbols
 from casacal.problem.term import Term
 from casacal.robots.robot import Robot
-from casacal.samples.layout import Layout
-from casacal.samples.samples import Samples
+from casacal.samples.samples import Layout, Samples
 from casacal.tables.read import read_any_table
 from casacal.tables.text import KEY, joined_tables
 from casacal.unknowns import Unknown

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from casacal.errors import CasacalError
 from casacal.instruments.description import Travel, readings_within
-from casacal.robots.files.dh_fields import degrees, plain
+from casacal.robots.dh_table import degrees, plain
 from casacal.robots.joints import Conventions, Joint
 
 FINEST = 0.01  # mm; an accuracy below it was given in metres

@@ -12,12 +12,12 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.instruments import Instrument
-from casacal.instruments.traced_instrument import TracedInstrument
+from casacal.instruments.instrument import TracedInstrument
 from casacal.kinematics import Expression
 from casacal.robots.robot import Robot
 from casacal.samples.samples import Samples
 from casacal.unknowns import Parameter
-from casacal.unknowns.fits import fitted_plane
+from casacal.unknowns.geometry import fitted_plane
 from casacal.user_code import Portable
 from casacal.values import FrozenMapping
 

@@ -1,17 +1,24 @@
-"""A Denavit-Hartenberg table: nominal numbers, where axes are parallel, and what the controller's joints mean."""
+"""Denavit-Hartenberg tables: nominal numbers, parallel axes, what the controller's joints mean, and their files."""
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Sequence
+import re
+import sys
+import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from casacal.errors import ProblemError
+from casacal.errors import ProblemError, SamplesError
 from casacal.kinematics import Expression, chain, dh, hayati, modified_dh, rotate_x, rotate_y, rotate_z, translate
 from casacal.robots.joints import Conventions, Joint
+from casacal.tables.text import LINE_END, NUMBER, decode, read_table
 from casacal.unknowns import Parameter, Unknown
 from casacal.unknowns.unknown import spread
 
@@ -57,12 +64,8 @@ class DHTable:
             raise ProblemError(f"The DH convention is '{self.convention}'", "Use 'standard' or 'modified'")
         if not self.beta:
             object.__setattr__(self, "beta", (0.0,) * len(self.parallel))
-        self._check_parallel()
         if self.conventions is not None:
             self.conventions.check_joints(count, self.name)
-
-    def _check_parallel(self) -> None:
-        count = len(self.alpha)
         rows = self.parallel
         if len(set(rows)) < len(rows) or any(row not in range(1, count) for row in rows) or sorted(rows) != list(rows):
             fix = f"Name rows of 1 to {count - 1} in order, each whose axis is parallel to the next one"
@@ -137,3 +140,410 @@ class DHTable:
         keys = ("alpha", "a", "d", "theta", *(("beta",) if self.parallel else ()))
         columns = {key: tuple(float(v) for v in np.asarray(getattr(p, key), dtype=np.float64).ravel()) for key in keys}
         return replace(self, **columns)  # type: ignore[arg-type]
+
+
+def plain(value: float) -> str:
+    """A number to twelve digits, without trailing zeros; zero, never -0, for what is rounding alone."""
+    return f"{value:.12g}" if abs(value) > 1e-12 else "0"
+
+
+def degrees(value: float) -> str:
+    """An angle in rad, in degrees to twelve digits."""
+    return plain(math.degrees(value))
+
+
+Row: TypeAlias = Mapping[str, Any]
+
+ANGLE = {"deg": math.pi / 180, "rad": 1.0}
+LENGTH = {"mm": 1.0, "m": 1000.0}
+UNITS = {"alpha": ANGLE, "a": LENGTH, "d": LENGTH, "theta": ANGLE, "beta": ANGLE}
+"""The numbers of a row, and what one of each unit is in rad or mm."""
+ROW_FIELDS = (
+    "joint",
+    "kind",
+    "note",
+    *(f"{field}_{unit}" for field, units in UNITS.items() for unit in units),
+    *(f"{side}_{unit}" for side in ("lower", "upper") for unit in (*ANGLE, *LENGTH)),
+)
+OFFSETS = tuple(f"offsets_{unit}" for unit in (*ANGLE, *LENGTH))
+BLOCK_FIELDS = ("name", "convention", "parallel", "signs", *OFFSETS, "coupling")
+MISNAMED = {"type": "kind", "joint_type": "kind"}  # what other tables call a field that is called otherwise here
+HALF_TURN = math.pi * (1 + 1e-6)
+KINDS = {"revolute": "revolute", "r": "revolute", "prismatic": "prismatic", "p": "prismatic"}
+
+
+@dataclass(frozen=True)
+class Fields:
+    """A file's block and rows as read, numbers as numbers; `places` say where each row stands in the file."""
+
+    file: str
+    block: Mapping[str, Any]
+    rows: tuple[Row, ...]
+    places: tuple[str, ...]
+
+
+def table_of(fields: Fields) -> DHTable:
+    """The DH table that a file's fields make; raises ProblemError that names the file and the place."""
+    convention = fields.block.get("convention")
+    if convention not in ("standard", "modified"):
+        came = "does not say its convention" if convention is None else f"has the convention '{convention}'"
+        fix = "Say standard or modified (Craig's): '# convention: standard' above a CSV's header, 'convention' in TOML"
+        raise ProblemError(f"{fields.file}: the file {came}", fix)
+    if not fields.rows:
+        raise ProblemError(f"{fields.file}: there is no joint", "Give one row per joint")
+    for row, place in zip(fields.rows, fields.places, strict=True):
+        check_names(row, ROW_FIELDS, f"{fields.file}, {place}")
+    columns = {
+        field: tuple(
+            quantity(row, field, UNITS[field], f"{fields.file}, {place}")
+            for row, place in zip(fields.rows, fields.places, strict=True)
+        )
+        for field in ("alpha", "a", "d", "theta")
+    }
+    largest = max(abs(value) for key in ("a", "d") for value in columns[key])
+    if 0 < largest < 5 or largest > 20_000:  # no arm: lengths given in the wrong unit
+        unit = "m" if largest < 5 else "mm"
+        fix = f"Name a and d by their unit: a_{unit}, d_{unit}"
+        raise ProblemError(f"{fields.file}: the largest length is {largest:g} mm", fix)
+    joints = tuple(joint_of(fields, i) for i in range(len(fields.rows)))
+    parallel, beta = _parallel(fields)
+    conventions = conventions_of(fields, joints)
+    try:
+        return DHTable(
+            name=fields.block.get("name") or fields.file.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0],
+            joints=joints,
+            convention=convention,
+            parallel=parallel,
+            beta=beta,
+            conventions=conventions,
+            **columns,  # type: ignore[arg-type]
+        )
+    except ProblemError as error:
+        raise ProblemError(f"{fields.file}: {error.what}", error.fix) from None
+
+
+def conventions_of(fields: Fields, joints: Sequence[Joint]) -> Conventions | None:
+    """What the controller's joints mean, or None where the file says nothing of it."""
+    block, count = fields.block, len(joints)
+    if not {"signs", *OFFSETS, "coupling"} & set(block):
+        return None
+    for name in ("signs", *OFFSETS):
+        if name in block and len(block[name]) != count:
+            what = f"{fields.file}: {name} has {len(block[name])} numbers for {count} joints"
+            raise ProblemError(what, "Give one per joint")
+    signs, coupling = block.get("signs", [1] * count), block.get("coupling", [])
+    offsets = [0.0] * count
+    for unit in (*ANGLE, *LENGTH):
+        values = block.get(f"offsets_{unit}", [0.0] * count)
+        for i, (value, joint) in enumerate(zip(values, joints, strict=True)):
+            if value and (unit in ANGLE) != (joint.turns):
+                what = f"{fields.file}: offsets_{unit} gives {value:g} for joint {i + 1}, which is {joint.kind}"
+                fix = "Give offsets of turning joints in deg or rad, of sliding ones in mm or m; zero for the others"
+                raise ProblemError(what, fix)
+            offsets[i] += value * {**ANGLE, **LENGTH}[unit]
+    try:
+        made = Conventions(
+            tuple(int(s) if s in (1, -1) else s for s in signs),
+            tuple(offsets),
+            tuple((int(i), int(j), float(f)) for i, j, f in coupling),
+        )
+        made.check_joints(count, "The table")
+    except ProblemError as error:
+        raise ProblemError(f"{fields.file}: {error.what}", error.fix) from None
+    return made
+
+
+def quantity(row: Row, field: str, units: Mapping[str, float], where: str) -> float:
+    """A field of a row in rad or mm; its key says its unit, such as alpha_deg."""
+    found = [unit for unit in units if f"{field}_{unit}" in row]
+    names = " or ".join(f"{field}_{unit}" for unit in units)
+    if len(found) != 1:
+        came = f"there is no {field}" if not found else f"there is more than one {field}"
+        raise ProblemError(f"{where}: {came}", f"Name one of {names}; the name says the unit")
+    unit = found[0]
+    value = float(row[f"{field}_{unit}"])
+    turns = abs(value) / (math.pi / 2)
+    if unit == "rad" and abs(value) > 4 * math.pi + 1e-6:
+        raise ProblemError(f"{where}: {field}_rad is {value:g}", f"That is no angle in rad; name it {field}_deg")
+    if unit == "deg" and 0.5 < turns < 4.5 and abs(turns - round(turns)) < 1e-4:
+        fix = f"Name it {field}_rad"
+        raise ProblemError(f"{where}: {field}_deg is {value:g}, which is {round(turns)} quarter turns in rad", fix)
+    if field in ("alpha", "beta") and abs(value * units[unit]) > HALF_TURN:
+        same = math.remainder(value, 2 * math.pi / units[unit])
+        fix = f"Write {plain(same)}, which is the same, if no digit is wrong"
+        raise ProblemError(f"{where}: {field}_{unit} is {value:g}; a twist is within half a turn", fix)
+    return value * units[unit]
+
+
+def joint_of(fields: Fields, i: int) -> Joint:
+    """The joint of row i (from 0), with its limits where the row has them."""
+    row, where = fields.rows[i], f"{fields.file}, {fields.places[i]}"
+    if "joint" in row and row["joint"] != i + 1:
+        raise ProblemError(f"{where}: this is joint {row['joint']:g}", f"Number joints from 1; here {i + 1} is due")
+    kind = KINDS.get(str(row.get("kind", "revolute")).lower())
+    if kind is None:
+        raise ProblemError(f"{where}: the kind is '{row['kind']}'", "Use revolute or prismatic (R, P)")
+    units = ANGLE if kind == "revolute" else LENGTH
+    given = [name for name in row if name.split("_")[0] in ("lower", "upper")]
+    wrong = [name for name in given if name.split("_")[1] not in units]
+    if wrong:
+        raise ProblemError(f"{where}: a {kind} joint has {wrong[0]}", f"Give its limits in {' or '.join(units)}")
+    if not given:
+        bound = math.pi if kind == "revolute" else 1000.0
+        return Joint(kind, -bound, bound)  # type: ignore[arg-type]
+    lower, upper = (quantity(row, side, units, where) for side in ("lower", "upper"))
+    try:
+        return Joint(kind, lower, upper)  # type: ignore[arg-type]
+    except ProblemError as error:
+        raise ProblemError(f"{where}: {error.what}", error.fix) from None
+
+
+def check_names(names: Row, known: Sequence[str], where: str) -> None:
+    """Refuse a name that is none of the known ones; never a silent guess."""
+    for name in names:
+        if name not in known:
+            units = [each for each in known if each.startswith(f"{name}_")]
+            close = [MISNAMED[name]] if MISNAMED.get(name) in known else get_close_matches(name, known, n=1)
+            hint = f"Did you mean '{close[0]}'? " if close else ""
+            if units:
+                hint = f"Say the unit: {' or '.join(units)}. "
+            raise ProblemError(f"{where}: there is no field '{name}'", f"{hint}Known: {', '.join(known)}")
+
+
+def _parallel(fields: Fields) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    """Parallel rows and their beta."""
+    rows = tuple(fields.block.get("parallel", ()))
+    beta = {}
+    for i, (row, place) in enumerate(zip(fields.rows, fields.places, strict=True), 1):
+        if any(f"beta_{unit}" in row for unit in ANGLE):
+            beta[i] = quantity(row, "beta", ANGLE, f"{fields.file}, {place}")
+            if beta[i] and i not in rows:
+                fix = "Name it there, if its axis is parallel to the next one"
+                raise ProblemError(f"{fields.file}, {place}: row {i} has beta but is not named in parallel", fix)
+    return rows, tuple(beta.get(row, 0.0) for row in rows)
+
+
+ENTRY = re.compile(r"\s*#\s*(\w+)\s*:\s*(.*?)\s*")
+COLUMNS = (
+    "joint",
+    "alpha_deg",
+    "a_mm",
+    "d_mm",
+    "theta_deg",
+    "beta_deg",
+    "kind",
+    "lower_deg",
+    "upper_deg",
+    "lower_mm",
+    "upper_mm",
+)
+"""Of a CSV that is written, as far as the table has them."""
+
+
+def read_dh_file(path: str | Path) -> DHTable:
+    """Read a DH table, as TOML when the name ends in .toml, else as CSV.
+
+    Raises ProblemError that names the file, the line or joint, and what to do.
+    """
+    return table_of(read_toml(path) if is_toml(path) else read_csv(path))
+
+
+def unread_keys(path: str | Path) -> tuple[str, ...]:
+    """Keys in comments of a CSV that mean nothing, such as `units` of '# units: m', each once; none in TOML."""
+    found = (
+        ()
+        if is_toml(path)
+        else (ENTRY.fullmatch(line) for line in decode(Path(path).read_bytes(), str(path)).splitlines())
+    )
+    unread = dict.fromkeys(each[1] for each in found if each and each[1] not in BLOCK_FIELDS)
+    return tuple(key for key in unread if key != "casacal")  # what exports say of themselves
+
+
+def dh_file_text(table: DHTable, path: str | Path) -> str:
+    """A DH table as the text of a file of that name, degrees and millimetres: TOML when it ends in .toml, else CSV."""
+    rows = _rows(table)
+    if is_toml(path):
+        lines = [f"name = {json.dumps(table.name, ensure_ascii=False)}", f'convention = "{table.convention}"']
+        if table.parallel:
+            lines.append(f"parallel = {list(table.parallel)}")
+        text = "\n".join(lines) + "\n"
+        if table.conventions is not None:
+            text += "\n" + conventions_toml(table.conventions, table.joints)
+        for row in rows:
+            kind = f'kind = "{row["kind"]}"'
+            numbers = [f"{key} = {value}" for key, value in row.items() if key not in ("joint", "kind")]
+            text += "\n".join(["", "[[joint]]", kind, *numbers, ""])
+        return text
+    lines = [f"# name: {table.name}", f"# convention: {table.convention}"]
+    if table.parallel:
+        lines.append(f"# parallel: {', '.join(map(str, table.parallel))}")
+    if table.conventions is not None:
+        meant = _meant(table.conventions, [joint.turns for joint in table.joints])
+        lines += [f"# {key}: {('; ' if key == 'coupling' else ', ').join(each)}" for key, each in meant.items()]
+    columns = [name for name in COLUMNS if any(name in row for row in rows)]
+    lines += [",".join(columns), *(",".join(row.get(name, "") for name in columns) for row in rows)]
+    return "\n".join(lines) + "\n"
+
+
+def is_toml(path: str | Path) -> bool:
+    """Whether a file of that name holds TOML."""
+    return Path(path).suffix.lower() == ".toml"
+
+
+def read_csv(path: str | Path) -> Fields:
+    """Fields of a CSV; raises ProblemError that names file and line."""
+    try:
+        table = read_table(path)
+    except SamplesError as error:
+        fix = error.fix.replace("one line per sample", "one line per joint")
+        raise ProblemError(error.what, fix) from None
+    rows: list[dict[str, Any]] = []
+    check_names(dict.fromkeys(table.header), ROW_FIELDS, f"{table.file}, header")  # before their cells are read
+    for cells, line in zip(table.rows, table.lines, strict=True):
+        row: dict[str, Any] = {}
+        for name, cell in zip(table.header, cells, strict=True):
+            if not cell:
+                continue
+            text = cell.replace(",", ".") if table.decimal_comma else cell
+            row[name] = text if name in ("kind", "note") else _number(text, f"{table.file}, line {line}, '{name}'")
+        rows.append(row)
+    places = tuple(f"line {line}" for line in table.lines)
+    return Fields(table.file, _block(decode(Path(path).read_bytes(), str(path)), table.file), tuple(rows), places)
+
+
+def _block(text: str, file: str) -> dict[str, Any]:
+    """Known keys of the comments; other comments stay comments, but a key that is nearly a known one is refused."""
+    block: dict[str, Any] = {}
+    for number, line in enumerate(LINE_END.split(text), 1):
+        found = ENTRY.fullmatch(line)
+        if not found:
+            continue
+        key, value = found.group(1), found.group(2).rstrip(",;\t ")  # spreadsheets fill up lines with delimiters
+        where = f"{file}, line {number}"
+        if key not in BLOCK_FIELDS:
+            close = get_close_matches(key.lower(), BLOCK_FIELDS, n=1, cutoff=0.8)
+            if close:
+                raise ProblemError(f"{where}: there is no key '{key}'", f"Write '# {close[0]}: ...', or no colon")
+            continue
+        if key in block:
+            raise ProblemError(f"{where}: '{key}' comes a second time", "Leave one of them")
+        block[key] = _value(key, value, where)
+    return block
+
+
+def _value(key: str, text: str, where: str) -> Any:
+    """What a key's text means: a word, whole numbers, numbers, or couplings 'i j factor' between semicolons."""
+    if key in ("name", "convention"):
+        return text
+    if key == "coupling":
+        entries = [_numbers(entry, where) for entry in text.split(";") if entry.strip()]
+        if any(len(entry) != 3 or entry[0] % 1 or entry[1] % 1 for entry in entries):
+            raise ProblemError(f"{where}: coupling is '{text}'", "Write joint, joint and factor, such as 3 2 -1")
+        return entries
+    numbers = _numbers(text, where)
+    if key in OFFSETS:
+        return numbers
+    if any(number % 1 for number in numbers):
+        raise ProblemError(f"{where}: {key} is '{text}'", "Give whole numbers")
+    return [int(number) for number in numbers]
+
+
+def _numbers(text: str, where: str) -> list[float]:
+    return [_number(part, where) for part in re.split(r"[,;\s]+", text.strip().strip("[]")) if part]
+
+
+def _number(text: str, where: str) -> float:
+    value = float(text) if NUMBER.fullmatch(text) else math.nan
+    if not math.isfinite(value):
+        raise ProblemError(f"{where}: '{text}' is not a number", "Write it like 12.5")
+    return value
+
+
+TOP = ("name", "convention", "parallel", "conventions", "joint")
+
+
+def read_toml(path: str | Path) -> Fields:
+    """Fields of a TOML file; raises ProblemError that names file and joint."""
+    file = str(path)
+    try:
+        document = tomllib.loads(Path(path).read_bytes().decode("utf-8-sig"))
+    except FileNotFoundError:
+        raise ProblemError(f"{file}: there is no such file", "Check the path") from None
+    except OSError as error:
+        raise ProblemError(f"{file}: cannot be read ({error.strerror})", "Give a readable TOML file") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raise ProblemError(f"{file}: this is not TOML ({error})", "Mend the file") from None
+    except ValueError:  # all that TOML leaves to Python is how long a whole number may be
+        raise ProblemError(f"{file}: a whole number has thousands of digits", "Write plain decimal numbers") from None
+    check_names(document, TOP, file)
+    inner, joints = document.get("conventions", {}), document.get("joint", [])
+    if not isinstance(inner, dict):
+        raise ProblemError(f"{file}: 'conventions' is {inner!r}", "Write a table [conventions]")
+    if not isinstance(joints, list) or not all(isinstance(joint, dict) for joint in joints):
+        raise ProblemError(f"{file}: 'joint' is not a list of tables", "Write [[joint]] above each joint")
+    check_names(inner, ("signs", *OFFSETS, "coupling"), f"{file}, [conventions]")
+    block = {**{key: document[key] for key in ("name", "convention", "parallel") if key in document}, **inner}
+    for key, value in block.items():
+        if key in ("name", "convention") and not isinstance(value, str):
+            raise ProblemError(f"{file}: {key} is {value!r}", "Write it as a text between quotes")
+        if key in BLOCK_FIELDS[2:]:
+            _check_list(key, value, file)
+    for i, joint in enumerate(joints, 1):
+        for key, value in joint.items():
+            if key not in ("kind", "note") and not _is_number(value):
+                raise ProblemError(f"{file}, joint {i}: {key} is {value!r}", "Write a number without quotes")
+    return Fields(file, block, tuple(joints), tuple(f"joint {i}" for i in range(1, len(joints) + 1)))
+
+
+def _check_list(key: str, value: Any, file: str) -> None:
+    """Refuse what is no list of numbers, or for coupling no list of [joint, joint, factor]."""
+    rows = value if key == "coupling" and isinstance(value, list) else [value]
+    whole = {"parallel": 99, "signs": 99, "coupling": 2}.get(key, 0)  # how many of the numbers are whole
+    for row in rows:
+        good = isinstance(row, list) and all(_is_number(v) for v in row)
+        if good and key == "coupling":
+            good = len(row) == 3
+        if not good or any(v % 1 for v in row[:whole]):
+            kind = "[[3, 2, -1.0]]" if key == "coupling" else "[1, 2]" if whole else "[0.0, 90.0]"
+            raise ProblemError(f"{file}: {key} is {value!r}", f"Write it like {kind}")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+
+
+def conventions_toml(conventions: Conventions, joints: Sequence[Joint] | None = None) -> str:
+    """The [conventions] block of a TOML file; offsets in degrees, or mm for those `joints` that slide."""
+    turns = [True] * len(conventions.signs) if joints is None else [joint.turns for joint in joints]
+    lines = ["[conventions]"]
+    for key, each in _meant(conventions, turns).items():
+        if key == "coupling":
+            each = [f"[{entry.replace(' ', ', ')}]" for entry in each]
+        remark = "  # joint, joint that is added to it, factor" if key == "coupling" else ""
+        lines.append(f"{key} = [{', '.join(each)}]{remark}")
+    return "\n".join(lines) + "\n"
+
+
+def _meant(conventions: Conventions, turns: Sequence[bool]) -> dict[str, list[str]]:
+    """What a controller's joints mean, numbers as text by key; `turns` says which joints turn."""
+    pairs = list(zip(conventions.offsets, turns, strict=True))
+    found = {"signs": [str(sign) for sign in conventions.signs]}
+    found["offsets_deg"] = [degrees(offset) if turn else "0" for offset, turn in pairs]
+    if not all(turns):
+        found["offsets_mm"] = [plain(0.0 if turn else offset) for offset, turn in pairs]
+    if conventions.coupling:
+        found["coupling"] = [f"{i} {j} {plain(factor)}" for i, j, factor in conventions.coupling]
+    return found
+
+
+def _rows(table: DHTable) -> list[dict[str, str]]:
+    """The fields of each joint as text."""
+    rows = []
+    for i, joint in enumerate(table.joints):
+        row = {"joint": str(i + 1), "kind": joint.kind, "alpha_deg": degrees(table.alpha[i])}
+        row |= {"a_mm": plain(table.a[i]), "d_mm": plain(table.d[i]), "theta_deg": degrees(table.theta[i])}
+        if i + 1 in table.parallel:
+            row["beta_deg"] = degrees(table.beta[table.parallel.index(i + 1)])
+        unit, shown = ("deg", degrees) if joint.turns else ("mm", plain)
+        rows.append(row | {f"lower_{unit}": shown(joint.lower), f"upper_{unit}": shown(joint.upper)})
+    return rows

@@ -12,9 +12,8 @@ import numpy as np
 from casacal.array_types import Array, Rows
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression, chain, screw, slide, transform_point
-from casacal.robots.joint_space import random_joints
 from casacal.robots.joints import Conventions
-from casacal.robots.robot import Robot
+from casacal.robots.robot import Robot, random_joints
 from casacal.robots.traced_pose import TracedPose
 
 PROOFS = 4  # postures at which the screws must give the pose
@@ -48,28 +47,37 @@ class Links:
             plain = TracedPose.of(bare.pose, robot.parameters, len(robot.axes))
         turns, q = tuple(bool(each) for each in robot.revolute), ca.SX.sym("q", len(robot.axes))
         pose = ca.Function("pose", [q], [ca.SX(plain(SimpleNamespace(**plain.drawn), q))])
-        home, twists = _twists(pose, len(turns))
-        axes, points = np.zeros((2, len(turns), 3))
-        for j, (turning, moving) in enumerate(twists):
-            axes[j] = turning if turns[j] else moving
-            points[j] = np.cross(turning, moving) if turns[j] else 0.0
-        found = Links(turns, axes, points, _places(turns, axes, points, home[:3, 3]), conventions)
-        found._prove(robot, pose, home)
+        both = ca.Function("both", [q], [pose(q), ca.jacobian(ca.vec(pose(q)), q)])
+        home, slopes = (np.array(each) for each in both(ca.DM.zeros(len(turns))))
+        axes, points, places = np.zeros((3, len(turns), 3))
+        for j, turning in enumerate(turns):
+            rate = slopes[:, j].reshape(4, 4, order="F") @ np.linalg.inv(home)  # velocities in the base frame
+            spin, moving = np.array([rate[2, 1], rate[0, 2], rate[1, 0]]), rate[:3, 3]
+            axes[j] = spin if turning else moving
+            points[j] = np.cross(spin, moving) if turning else 0.0
+        here = np.zeros(3)
+        for j in range(len(turns) - 1):  # along the chain of axes
+            if turns[j + 1]:
+                here = _foot(axes[j + 1], points[j + 1], here)
+            places[j] = here
+        places[-1] = home[:3, 3]
+        found = Links(turns, axes, points, places, conventions)
+        last = replace(found, places=np.tile(home[:3, 3], (len(turns), 1)))
+        flange = ca.Function("flange", [q], [ca.vertcat(*last.carried(q)[-1:])])
+        for joints in random_joints(robot, PROOFS, np.random.default_rng(0)):
+            there = joints if conventions is None else conventions.to_model(joints)
+            if np.abs(np.array(flange(there))[:, 0] - np.array(pose(there))[:3, 3]).max() > ALIKE:
+                fix = "Leave out LinkSag; GravitySag asks nothing of the order"
+                raise ProblemError(f"The joints of '{robot.name}' do not carry one another in order", fix)
         return found
 
     def carried(self, q: Expression) -> list[Expression]:
         """The place of each link (3, mm) in the base frame, at joint values q of the model (n; rad, mm)."""
-        return [
-            transform_point(motion, ca.DM(place)) for motion, place in zip(self.motions(q), self.places, strict=True)
-        ]
-
-    def motions(self, q: Expression) -> list[Expression]:
-        """How each link has moved (4x4, mm) from where it is at zero, at joint values q of the model (n; rad, mm)."""
         found, steps = [], list[Expression]()
         for j, turns in enumerate(self.turns):
             axis = ca.DM(self.axes[j])
             steps.append(screw(axis, ca.DM(self.points[j]), q[j]) if turns else slide(axis, q[j]))
-            found.append(chain(*steps))
+            found.append(transform_point(chain(*steps), ca.DM(self.places[j])))
         return found
 
     def levers(self, down: Array) -> ca.Function:
@@ -85,17 +93,6 @@ class Links:
     def to_controller(self, off: Expression) -> Expression:
         """Small motions of the controller's joints (n,) that are these of the model's."""
         return off if self.conventions is None else ca.mtimes(ca.DM(np.linalg.inv(self.conventions.matrix)), off)
-
-    def _prove(self, robot: Robot, pose: ca.Function, home: Array) -> None:
-        """Raise ProblemError unless the screws give the arm's pose wherever it stands."""
-        q = ca.SX.sym("q", len(self.turns))
-        last = replace(self, places=np.tile(home[:3, 3], (len(self.turns), 1)))
-        flange = ca.Function("flange", [q], [ca.vertcat(*last.carried(q)[-1:])])
-        for joints in random_joints(robot, PROOFS, np.random.default_rng(0)):
-            there = joints if self.conventions is None else self.conventions.to_model(joints)
-            if np.abs(np.array(flange(there))[:, 0] - np.array(pose(there))[:3, 3]).max() > ALIKE:
-                fix = "Leave out LinkSag; GravitySag asks nothing of the order"
-                raise ProblemError(f"The joints of '{robot.name}' do not carry one another in order", fix)
 
 
 def nodes_of(robot: Robot, joints: Array) -> Array:
@@ -153,23 +150,3 @@ def above_table(robot: Robot, table: float, radius: float = 0.0) -> Callable[[Ar
 def _foot(axis: Array, point: Array, place: Array) -> Array:
     """Where on an axis through a point (3) a place (3) is nearest."""
     return np.asarray(point + axis * float(axis @ (place - point)))
-
-
-def _twists(pose: ca.Function, joints: int) -> tuple[Array, list[tuple[Array, Array]]]:
-    """The pose at zero joint values (4, 4), and each joint's angular and linear velocity in the base frame there."""
-    q = ca.SX.sym("q", joints)
-    both = ca.Function("both", [q], [pose(q), ca.jacobian(ca.vec(pose(q)), q)])
-    home, slopes = (np.array(each) for each in both(ca.DM.zeros(joints)))
-    rates = [slopes[:, j].reshape(4, 4, order="F") @ np.linalg.inv(home) for j in range(joints)]
-    return home, [(np.array([rate[2, 1], rate[0, 2], rate[1, 0]]), rate[:3, 3]) for rate in rates]
-
-
-def _places(turns: tuple[bool, ...], axes: Array, points: Array, flange: Array) -> Array:
-    """A place on each link: along the chain of axes, then the flange."""
-    places, here = np.zeros((len(turns), 3)), np.zeros(3)
-    for j in range(len(turns) - 1):
-        if turns[j + 1]:
-            here = _foot(axes[j + 1], points[j + 1], here)
-        places[j] = here
-    places[-1] = flange
-    return places

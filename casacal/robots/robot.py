@@ -1,4 +1,4 @@
-"""A robot: joints, named kinematic parameters, and the function that gives its flange pose."""
+"""A robot: joints, named kinematic parameters, the function that gives its flange pose, and joint values."""
 
 from __future__ import annotations
 
@@ -8,17 +8,25 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
+import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array, Rows
-from casacal.errors import ProblemError
+from casacal.errors import CasacalError, ProblemError, came
 from casacal.kinematics import Expression
-from casacal.robots.dh_table import DHTable, Stds
-from casacal.robots.files.dh_text import read_dh_file
-from casacal.robots.function_pose import FromFunction
+from casacal.robots.dh_table import DHTable, Stds, read_dh_file
 from casacal.robots.joints import Conventions, Joint, joints_of
-from casacal.robots.traced_pose import Screws, TracedPose, check_parameters, traced, travels, triples
-from casacal.robots.urdf_chain import UrdfChain
+from casacal.robots.traced_pose import (
+    Screws,
+    TracedPose,
+    check_parameters,
+    joint_count,
+    traced,
+    traced_function,
+    travels,
+    triples,
+)
+from casacal.robots.urdf import UrdfChain
 from casacal.unknowns import Unknown
 from casacal.values import FrozenMapping, Value, alike, read_only, short
 
@@ -28,7 +36,7 @@ Joints: TypeAlias = int | str | Sequence[Joint]
 
 
 @dataclass(frozen=True, eq=False)
-class Robot(Value, FromFunction):
+class Robot(Value):
     """A serial arm whose flange pose is a function of named parameters and joint values.
 
     Args:
@@ -242,3 +250,68 @@ class Robot(Value, FromFunction):
         kinds, lines = joints_of(len(axes) if joints is None else joints), (triples(axes), triples(points))
         arm = Screws(name=name, axes=lines[0], points=lines[1], home=rows, joints=kinds, conventions=conventions)
         return Robot(name, kinds, arm.pose, arm.parameters(length_std, angle_std), arm)
+
+    @staticmethod
+    def from_function(
+        name: str,
+        function: ca.Function,
+        *,
+        length: Literal["m", "mm"],
+        parameters: Mapping[str, Unknown] | None = None,
+        joints: Joints | None = None,
+        angle_std: float | None = None,
+    ) -> Robot:
+        """Robot from a `casadi.Function` (SX or MX) of q (n) to the flange pose, as Pinocchio and the like give it.
+
+        Args:
+            name: what the report calls it.
+            function: of q (rad, or `length` where a joint slides) and then the parameters' numbers, as one vector or
+                several, to a 4x4 or 3x4 matrix or a position and a rotation. A 4x4 input before q is the base's pose.
+            length: unit of every length that goes in or comes out.
+            parameters: a `Parameter` for these numbers, in their order; those in "mm" are converted.
+            joints: as for `Robot`; default all revolute.
+            angle_std: of `zero`, the offsets of turning joints, where it takes no parameters, rad; default 1e-3.
+
+        Raises ProblemError for other shapes, and for a function that is no graph of elementary operations.
+
+        """
+        axes = joints_of(joint_count(function) if joints is None else joints)
+        pose, unknowns = traced_function(function, parameters or {}, axes, length, angle_std)
+        return Robot(name, axes, pose, unknowns)
+
+
+AXIS_WEIGHT = 300.0  # millimetres at the tip that weigh as much as one radian of plunger direction
+
+
+def joint_values(q: Any, robot: Robot) -> Array:
+    """Joint values (N, n; rad, mm) of an arm from numbers, one row (n,) or several (N, n).
+
+    Raises CasacalError for anything else.
+    """
+    wanted = f"Give {len(robot.axes)} numbers per row, in rad (sliding joints in mm)"
+    try:
+        values = np.array(q, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise CasacalError(f"Got {came(q)} as joint values of '{robot.name}'", wanted) from None
+    values = values[None] if values.ndim == 1 else values
+    if values.ndim != 2 or values.shape[1] != len(robot.axes):
+        raise CasacalError(f"Joint values of '{robot.name}' came with the shape {np.shape(q)}", wanted)
+    if not np.isfinite(values).all():
+        raise CasacalError(f"A joint value of '{robot.name}' is not finite", wanted)
+    return values
+
+
+def random_joints(robot: Robot, count: int, rng: np.random.Generator) -> Array:
+    """Joint values (count, n; rad, mm), uniform between the limits."""
+    return rng.uniform(*robot.limits, size=(count, len(robot.axes)))
+
+
+def inside_limits(robot: Robot, joints: Array) -> Rows:
+    """Which postures (N, n; rad, mm) are inside the limits of all joints (N,)."""
+    lower, upper = robot.limits
+    return np.asarray(((joints >= lower) & (joints <= upper)).all(axis=1))
+
+
+def joint_units(robot: Robot) -> Array:
+    """What counts as one unit of motion of each joint (n,): a radian, or as many mm as weigh as much."""
+    return np.where(robot.revolute, 1.0, AXIS_WEIGHT)

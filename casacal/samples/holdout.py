@@ -8,8 +8,7 @@ import numpy as np
 
 from casacal.array_types import Index, Rows
 from casacal.errors import CasacalError, UnknownNameError, came
-from casacal.samples.measurements import Measurements
-from casacal.samples.samples import Samples
+from casacal.samples.samples import Measurements, Samples
 from casacal.tables.columns import Labels, combinations
 
 WAYS = ("rows", "region", "face")  # what is held out together, beside the values of a column
@@ -44,7 +43,7 @@ def split(
     if by in ("rows", "region"):
         mask = _of_each_label(samples, holdout, rng, near=by == "region")
     else:
-        mask = _whole(samples, holdout, rng, by, _groups(samples, by, face))
+        mask = _whole(samples, holdout, rng, by, face)
     return np.flatnonzero(~mask), np.flatnonzero(mask)
 
 
@@ -88,20 +87,18 @@ def _of_each_label(samples: Samples, holdout: float, rng: np.random.Generator, *
     return mask
 
 
-def _groups(samples: Samples, by: str, face: str | None) -> Labels:
+def _whole(samples: Samples, holdout: float, rng: np.random.Generator, by: str, face: str | None) -> Rows:
+    """All rows (N,) of about the given part of the groups, at least of one; none where nothing is to be held out."""
     if by == "face":
         if face is None or face not in samples.labels:
             raise CasacalError("Faces were to be held out, and these samples name none", "Hold out rows or a region")
-        return samples.labels[face]
-    if by in samples.labels:
-        return samples.labels[by]
-    if by in samples.extra:
-        return Labels.of(str(value).strip() for value in samples.extra[by])
-    raise UnknownNameError("way to hold out", by, [*WAYS, *samples.labels, *samples.extra])
-
-
-def _whole(samples: Samples, holdout: float, rng: np.random.Generator, by: str, groups: Labels) -> Rows:
-    """All rows (N,) of about the given part of the groups, at least of one; none where nothing is to be held out."""
+        groups = samples.labels[face]
+    elif by in samples.labels:
+        groups = samples.labels[by]
+    elif by in samples.extra:
+        groups = Labels.of(str(value).strip() for value in samples.extra[by])
+    else:
+        raise UnknownNameError("way to hold out", by, [*WAYS, *samples.labels, *samples.extra])
     if not holdout:
         return np.zeros(len(samples), dtype=bool)
     count = max(1, round(holdout * len(groups.names)))

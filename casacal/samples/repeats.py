@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array, Index, Rows
 from casacal.instruments.description import Dimension
-from casacal.samples.layout import Layout
-from casacal.samples.measurements import Measurements
-from casacal.samples.samples import Samples
+from casacal.samples.samples import Layout, Measurements, Samples
 
 SAME = 1e-4  # joint values (rad, mm) that round to the same multiple of this are those of one posture
 MIX = np.int64(0x2545F4914F6CDD1D)  # an odd number of 64 bits whose products look random (Vigna, xorshift*, 2016)

@@ -10,11 +10,10 @@ import numpy as np
 
 from casacal.array_types import Array, Index
 from casacal.instruments import Instrument
-from casacal.kernels.batch import Batch
+from casacal.kernels.block_rows import Batch
 from casacal.problem.problem import Problem
 from casacal.simulation.cell import Cell, Disturbances, Face
-from casacal.simulation.touches import random_tips, spot, stands
-from casacal.simulation.true_arm import Draw, label_names, plane_coordinates
+from casacal.simulation.touches import Draw, label_names, plane_coordinates, random_tips, spot, stands
 from casacal.tables.columns import Labels
 from casacal.unknowns import Frame, Unknown
 

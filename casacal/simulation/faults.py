@@ -230,11 +230,6 @@ def _process(rng: np.random.Generator, reach: float) -> Callable[[Array], Array]
     return lambda points: rough(points) - lifted(points) @ plane
 
 
-def form_seeds(cell: Cell, rng: np.random.Generator) -> list[int | None]:
-    """A seed for the form of each face; None where faces are flat."""
-    return [int(rng.integers(2**32)) if cell.flatness > 0 else None for _ in cell.faces]
-
-
 def levels(cell: Cell, which: Index, uv: Array, seeds: Sequence[int | None], lift: Array) -> Array:
     """Heights n . x (N,; mm) of touches at places uv (N, 2; -1 to 1) of their faces, with form and lift."""
     normals, centres = (

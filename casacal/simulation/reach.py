@@ -14,14 +14,12 @@ from casacal.array_types import Array, Rows
 from casacal.errors import SimulationError
 from casacal.instruments import Instrument
 from casacal.instruments.description import Probe
-from casacal.kernels.batch import Batch
-from casacal.robots.joint_space import AXIS_WEIGHT, inside_limits, random_joints
-from casacal.robots.robot import Robot
+from casacal.kernels.block_rows import Batch
+from casacal.robots.robot import AXIS_WEIGHT, Robot, inside_limits, random_joints
 from casacal.robots.traced_pose import traced
 
 ARRIVED = 1e-16
 """Squared miss (mm^2) below which a tip counts as arrived: no target needs more, and no machine's rounding less."""
-
 
 PLUNGES = 10  # rounds in which a reading is found: the tip goes nearly as the reading does
 

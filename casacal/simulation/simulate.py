@@ -1,30 +1,389 @@
-"""Simulated samples: an arm drawn from the prior, its touches and its truth, as a value."""
+"""Simulated samples: an arm drawn from the prior, its touches in sessions or rows of any residual, and the truth."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index, Rows
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.errors import SamplesError, SimulationError, came
 from casacal.estimators import lm
+from casacal.instruments.description import Probe, readings_within
+from casacal.instruments.instrument import Instrument
 from casacal.least_squares.conditioned import Conditioned
 from casacal.problem.problem import Problem
-from casacal.samples.layout import Layout
-from casacal.samples.measurements import Measurements
-from casacal.samples.samples import Samples
-from casacal.simulation.cell import Cell, Disturbances
-from casacal.simulation.faults import ArmErrors, DialErrors, waved
+from casacal.robots.robot import inside_limits, random_joints
+from casacal.samples.samples import Layout, Measurements, Samples
+from casacal.simulation.bench import Bench, bench_of
+from casacal.simulation.cell import OF_DIALS, Cell, Disturbances, Face
+from casacal.simulation.faults import (
+    ArmErrors,
+    DialErrors,
+    drawn_waves,
+    last_moves,
+    levels,
+    rounded,
+    unwaved,
+    waved,
+    ways,
+    weighed,
+)
 from casacal.simulation.reach import TouchingArm
-from casacal.simulation.rows import fitting_rows
-from casacal.simulation.session import touched_rows
-from casacal.simulation.touches import default_cell, refuse_lost_steps
-from casacal.simulation.true_arm import Draw, check_asked, frame_coordinates, plane_coordinates
+from casacal.simulation.touches import (
+    EDGE,
+    Draw,
+    check_asked,
+    default_cell,
+    find_touches,
+    frame_coordinates,
+    own_noise,
+    plane_coordinates,
+    refuse_lost_steps,
+    row_labels,
+    true_unknowns,
+)
+from casacal.tables.columns import Labels
 from casacal.values import FrozenMapping, Value
+
+
+@dataclass(frozen=True)
+class SessionPlan:
+    """Which face and which place each row touches, and when; rows (N,), places (P,)."""
+
+    which: Index
+    place: Index
+    first: Index
+    """The row that touches a place first."""
+    turn: Index
+    """The how manieth touch of its face a row is."""
+    when: Array
+
+    @staticmethod
+    def of(samples: int, faces: int, repeats: int) -> SessionPlan:
+        """Faces in turn, each place so many times in a row."""
+        rows = np.arange(samples)
+        place = rows // repeats
+        turn = place // faces * repeats + rows % repeats
+        return SessionPlan(place % faces, place, rows[::repeats], turn, rows / max(samples - 1, 1))
+
+    @staticmethod
+    def at(postures: Samples, column: str | None, faces: Sequence[Face]) -> SessionPlan:
+        """One touch in each posture, of the face that its label names; raises SimulationError where there is none."""
+        known = {face.label: k for k, face in enumerate(faces)}
+        names = [faces[0].label] * len(postures) if column is None else list(postures.labels[column])
+        if lost := next((name for name in names if name not in known), None):
+            raise SimulationError(
+                f"{postures.file} touches '{lost}' (column '{column}'), which is no face of the cell",
+                f"Its faces are {', '.join(known)}",
+            )
+        rows, which = np.arange(len(names)), np.array([known[name] for name in names], dtype=np.intp)
+        turn = np.array([(which[:k] == which[k]).sum() for k in rows])
+        return SessionPlan(which, rows, rows, turn, rows / max(len(rows) - 1, 1))
+
+    @property
+    def again(self) -> Rows:
+        """Rows (N,) that touch a place once more."""
+        return np.asarray(np.diff(self.place, prepend=-1) == 0)
+
+
+FIRST = "first"  # what a simulated session is called, as are other labels that are no faces
+
+
+@dataclass(frozen=True)
+class _Contact:
+    """What one session's touches meet: faces of a form, lifted by errors of touch, under an arm that grows.
+
+    lift: by how much each touch stands above its face (N,; mm). forms: a seed for the form of each face. growth: times
+    (N,) that the tip is further from the base.
+    """
+
+    touch: TouchingArm
+    probe: Probe
+    cell: Cell
+    plan: SessionPlan
+    lift: Array
+    forms: Sequence[int | None]
+    growth: Array
+
+    def found(self, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Joints (P, n) and readings (P,) of the first touch of each place."""
+        plan, first = self.plan, self.plan.first
+        lift, growth = self.lift[first], self.growth[first]
+        return find_touches(self.touch, self.probe, self.cell, plan.which[first], lift, rng, self.forms, growth)
+
+    def there(self, standing: Array, readings: Array) -> tuple[Array, Array, Rows]:
+        """What is added to given joints until the tip touches (N, n), where the plunger stands (N,), and which touch.
+
+        standing: joints (N, n) as they truly stand. readings: expected ones (N,); where the dial would be near an end
+        of its travel, the arm is moved until it reads about that, as operators do. Faces reach as far as anybody asks.
+        """
+        axes, centres, half = (
+            np.array([getattr(face, name) for face in self.cell.faces])[self.plan.which]
+            for name in ("axes", "centre", "size")
+        )
+        tips, _ = self.touch.place(self.touch.local, standing, readings[:, None])
+        uv = np.clip(2 * np.einsum("kx,kax->ka", tips - centres, axes[:, 1:]) / half, -1, 1)
+        normals, heights = axes[:, 0], levels(self.cell, self.plan.which, uv, self.forms, self.lift) / self.growth
+        moved, ways_in = self._met(standing, readings, normals, heights)
+        low, high = readings_within(self.probe.travel if self.cell.travel is None else self.cell.travel)
+        low, high = low + EDGE * (high - low), high - EDGE * (high - low)
+        if self.probe.column is not None and (out := ~((ways_in >= low) & (ways_in <= high))).any():
+            ways_in[out] = np.clip(readings[out], low, high)
+            moved[out] = self.touch.land(standing[out], ways_in[out], normals[out], heights[out]) - standing[out]
+        tips, _ = self.touch.place(self.touch.local, standing + moved, ways_in[:, None])
+        met = np.abs((normals * tips).sum(axis=1) - heights) < 1e-6
+        return moved, ways_in, met & self.touch.within_limits(standing + moved)[1]
+
+    def again(self, joints: Array, readings: Array, standing: Array) -> tuple[Array, Array]:
+        """What rows add to the joints of their place's first touch (N, n), and where the plunger stands (N,).
+
+        joints, readings: of the first touch of each place. standing: joints (N, n) as they stand with the same said.
+        """
+        plan, touch, again = self.plan, self.touch, self.plan.again
+        normals = np.array([face.axes[0] for face in self.cell.faces])[plan.which]
+        tips, _ = touch.place(touch.local, joints, readings[:, None])
+        level = (normals[plan.first] * tips).sum(axis=1) * self.growth[plan.first] - self.lift[plan.first]
+        heights = (level[plan.place] + self.lift) / self.growth
+        moved, ways_in = np.zeros_like(standing), readings[plan.place]
+        moved[again], ways_in[again] = self._met(standing[again], ways_in[again], normals[again], heights[again])
+        return moved, ways_in
+
+    def _met(self, standing: Array, readings: Array, normals: Array, heights: Array) -> tuple[Array, Array]:
+        """What is added to joints (N, n) until the tip is at its height, and where the plunger then stands (N,).
+
+        A plunger makes up for joints that stand elsewhere; a tool without one moves on until it touches.
+        """
+        if self.probe.column is None:
+            return self.touch.land(standing, readings, normals, heights) - standing, readings
+        return np.zeros_like(standing), self.touch.plunge(standing, readings, normals, heights)
+
+
+def touched_rows(
+    problem: Problem, instrument: Instrument, probe: Probe, cell: Cell, samples: int | Samples, draw: Draw
+) -> tuple[Samples, dict[str, Array], ArmErrors, DialErrors]:
+    """Samples of touches, the true local coordinates by name, and the errors of arm and dial that were drawn.
+
+    samples: how many, or the postures in which to touch; those in which the true arm cannot are left out.
+    """
+    _refuse(cell, probe)
+    truth_rng, pose_rng, noise_rng, form_rng, gear_rng, dial_rng, way_rng = draw.streams(7, of_the_arm=(0, 3, 4))
+    local = draw.true(true_unknowns(problem, probe, cell.error_scale, truth_rng))
+    touch = TouchingArm.of(problem.robot, instrument, probe, local)
+    given = samples if isinstance(samples, Samples) else None
+    if isinstance(samples, Samples):
+        cell, plan = replace(cell, repeats=1), SessionPlan.at(samples, probe.label, cell.faces)
+    else:
+        plan = SessionPlan.of(samples, len(cell.faces), cell.repeats)
+    count = len(plan.which)
+    noise = probe.noise_std if cell.repeatability is None else cell.repeatability
+    gross = noise_rng.random(count) < cell.outliers
+    outlier = gross * noise_rng.choice([-1.0, 1.0], size=count) * cell.outlier_size * noise_rng.uniform(1, 2, count)
+    # errors of touch and form raise the face under the tip; a dial's own errors come on top of its reading
+    lift = noise_rng.normal(size=count) * (noise if probe.column is None else probe.contact_std)
+    if probe.column is None:
+        lift = lift + outlier
+    arm = ArmErrors(thermal=cell.thermal, waves=drawn_waves(problem.robot, cell.waves, gear_rng))
+    forms = [int(form_rng.integers(2**32)) if cell.flatness > 0 else None for _ in cell.faces]
+    contact = _Contact(touch, probe, cell, plan, lift, forms, arm.growth(plan.when))
+    if given is None:
+        joints, readings = contact.found(pose_rng)
+    else:
+        joints, readings = given.joints, given.columns.get(probe.column or "", np.zeros(count))
+    if cell.compliance > 0:
+        arm = replace(arm, compliance=cell.compliance, pull=weighed(touch, joints, readings))
+    sag = arm.sag(touch, joints, readings)
+    came, pushed = ways(joints, plan.turn, cell.repeats, cell.approach, way_rng)
+    scatter, lag = noise_rng.normal(size=(count, joints.shape[1])) * cell.joint_std, came * cell.backlash / 2
+    said, ways_in, met = joints, readings[plan.place], np.ones(count, dtype=bool)
+    if given is None:
+        said = unwaved(arm.waves, joints - sag - scatter[plan.first] + lag[plan.first])[plan.place]
+    standing = waved(arm.waves, said) + sag[plan.place] + scatter - lag
+    if given is not None:
+        moved, ways_in, met = contact.there(standing, ways_in)
+        said = said + moved
+    elif plan.again.any():
+        moved, ways_in = contact.again(joints, readings, standing)
+        said = said + moved
+    columns, dial = dict[str, Array](), DialErrors.drawn(cell, dial_rng)
+    if probe.column is not None:
+        shown = dial.shown(ways_in, -probe.sign * pushed, plan.when) + noise_rng.normal(size=count) * noise + outlier
+        columns[probe.column] = rounded(shown, cell.resolution)
+    labels = _labels(problem, probe, cell, plan) if given is None else dict(given.labels)
+    recorded = rounded(said, cell.encoder_step)
+    file = draw.name if given is None else given.file
+    rows = Samples(recorded, columns, labels, tuple(range(1, count + 1)), {}, file, draw.name)
+    return rows if met.all() else rows.take(np.flatnonzero(met)), local, arm, dial
+
+
+def _labels(problem: Problem, probe: Probe, cell: Cell, plan: SessionPlan) -> dict[str, Labels]:
+    """Labels of the rows by column: their faces; other labels are all alike."""
+    count = len(plan.which)
+    labels = {name: Labels([FIRST], np.zeros(count, dtype=np.intp)) for name in problem.layout().labels}
+    if probe.label is not None:
+        labels[probe.label] = Labels([face.label for face in cell.faces], plan.which)
+    return labels
+
+
+def _refuse(cell: Cell, probe: Probe) -> None:
+    """Raise SimulationError for a cell that this plunger cannot measure in."""
+    if len(cell.faces) > 1 and probe.label is None:
+        raise SimulationError(
+            f"The cell has {len(cell.faces)} faces and the problem one plane", 'Declare plane=Plane(per="plane")'
+        )
+    asked = [name for name in OF_DIALS if getattr(cell, name) > 0]
+    if asked and probe.column is None:
+        raise SimulationError(
+            f"The cell has a {asked[0]}, and the problem touches without a dial",
+            "Leave it out, or declare reading=True",
+        )
+
+
+CANDIDATES = 80  # random postures for each row; the one that fits best is where its search begins
+ROUNDS, STEPS = 30, 40  # times that rows are tried afresh, and Gauss-Newton steps of each
+FITS = 1e-9  # residual, in units of the largest of its noise or a thousandth of a unit, below which a row fits
+SLOW = 1e-3  # what a reading costs in the step that is sought, where a radian costs one: readings move before joints do
+
+
+def fitting_rows(
+    problem: Problem, cell: Disturbances, samples: int | Samples, draw: Draw
+) -> tuple[Samples, Bench, ArmErrors]:
+    """Samples of an instrument that is shown no faces, the true arm before it, and the arm's errors.
+
+    samples: how many, or the postures in which to measure; those in which the true arm cannot are left out. Raises
+    SimulationError when no posture inside the joint limits fits, or a cell asks for what only faces have.
+    """
+    check_asked(problem, cell)
+    truth_rng, pose_rng, noise_rng, _, gear_rng = draw.streams(5, of_the_arm=(0, 4))
+    given, count = (samples, len(samples)) if isinstance(samples, Samples) else (None, samples)
+    labels = row_labels(problem, cell, count) if given is None else dict(given.labels)
+    bench = bench_of(problem, cell, labels, truth_rng, count, draw)
+    instrument, n = problem.instrument, len(problem.robot.axes)
+    gross = noise_rng.random(count) < cell.outliers
+    outlier = gross * noise_rng.choice([-1.0, 1.0], size=count) * cell.outlier_size * noise_rng.uniform(1, 2, count)
+    own = own_noise(problem) if cell.repeatability is None else cell.repeatability
+    target = noise_rng.normal(size=(count, problem.model.components)) * own + outlier[:, None]
+    scatter = noise_rng.normal(size=(count, n)) * cell.joint_std
+    arm = ArmErrors(drawn_waves(problem.robot, cell.waves, gear_rng))
+    if given is None:
+        free, met = _found(bench, target, pose_rng)
+        if not met.all():
+            raise SimulationError(
+                f"No posture inside the limits of '{problem.robot.name}' and its readings makes the residual of "
+                f"{type(instrument).__name__} vanish in {(~met).sum()} of {count} rows",
+                "Give its unknowns nominal values within the arm's reach, or give the instrument a `probe`",
+            )
+        lag = last_moves(free[:, :n]) * cell.backlash / 2
+        said = unwaved(arm.waves, free[:, :n] - scatter + lag)
+    else:
+        standing = waved(arm.waves, given.joints) + scatter - last_moves(given.joints) * cell.backlash / 2
+        free, met = _read_there(bench, standing, target)
+        said = given.joints + free[:, :n] - standing
+    recorded = rounded(said, cell.encoder_step)
+    columns, read = {}, instrument.as_read(dict(zip(instrument.columns, free[:, n:].T, strict=True)))
+    for name, dimension in instrument.columns.items():
+        shown = read[name] + noise_rng.normal(size=count) * instrument.column_stds.get(name, 0.0)
+        columns[name] = rounded(shown, cell.resolution if dimension == "length" else 0.0)
+    file = draw.name if given is None else given.file
+    rows = Samples(recorded, columns, labels, tuple(range(1, count + 1)), {}, file, draw.name)
+    return rows if met.all() else rows.take(np.flatnonzero(met)), bench, arm
+
+
+def exact_rows(bench: Bench, labels: Mapping[str, Labels], rng: np.random.Generator, *, rounds: int) -> Samples:
+    """Rows without any error in random postures: those of the labelled ones that a few rounds of tries find."""
+    count, model, instrument = len(bench.z), bench.problem.model, bench.problem.instrument
+    free, met = _found(bench, np.zeros((count, model.components)), rng, rounds)
+    which = np.flatnonzero(met)
+    joints, read = np.split(free[which], [len(bench.problem.robot.axes)], axis=1)
+    columns = dict(instrument.as_read(dict(zip(instrument.columns, read.T, strict=True))))
+    known = {name: each.take(which) for name, each in labels.items()}
+    return Samples(joints, columns, known, tuple(range(1, len(which) + 1)), {}, "", "")
+
+
+def _found(bench: Bench, target: Array, rng: np.random.Generator, rounds: int = ROUNDS) -> tuple[Array, Rows]:
+    """Joints and readings (N, n) at which the residuals (N, m) are met, joints inside their limits, and where."""
+    count = len(target)
+    free = np.full((count, len(bench.problem.robot.axes) + bench.read), np.nan)
+    waiting = np.arange(count)
+    for _ in range(rounds):
+        start = _starts(bench, target, waiting, rng)
+        found, met = _met(bench, start, target[waiting], waiting)
+        met &= _inside(bench, found) & (bench.beyond(found, waiting) < 1e-6)
+        free[waiting[met]] = found[met]
+        waiting = waiting[~met]
+        if not waiting.size:
+            break
+    return free, ~np.isnan(free).any(axis=1)
+
+
+def _inside(bench: Bench, free: Array) -> Rows:
+    """Which joints and readings (N, n) are inside their limits."""
+    instrument, n = bench.problem.instrument, len(bench.problem.robot.axes)
+    ends = [instrument.reading_limits.get(name, (-np.inf, np.inf)) for name in instrument.columns]
+    least, most = np.array(ends).reshape(-1, 2).T
+    readings = free[:, n:]
+    return inside_limits(bench.problem.robot, free[:, :n]) & ((readings >= least) & (readings <= most)).all(axis=1)
+
+
+def _read_there(bench: Bench, standing: Array, target: Array) -> tuple[Array, Rows]:
+    """Joints and readings (N, n) at which the residuals (N, m) are met by an arm that stands there, and where they are.
+
+    Joints stay where readings can follow them; where there are none, the arm moves on until it meets the residual.
+    """
+    instrument, rows = bench.problem.instrument, np.arange(len(target))
+    readings = [instrument.begins_at.get(name, 0.0) for name in instrument.columns]
+    start = np.hstack([standing, np.tile(readings, (len(standing), 1))])
+    found, met = _met(bench, start, target, rows, held=bench.read >= target.shape[1])
+    return found, met & _inside(bench, found)
+
+
+def _starts(bench: Bench, target: Array, rows: Index, rng: np.random.Generator) -> Array:
+    """For each row the random posture, readings at zero, that comes nearest."""
+    robot = bench.problem.robot
+    tried = random_joints(robot, len(rows) * CANDIDATES, rng)
+    instrument = bench.problem.instrument
+    readings = [instrument.begins_at.get(name, 0.0) for name in instrument.columns]
+    free = np.hstack([tried, np.tile(readings, (len(tried), 1))])
+    if bench.read:  # readings follow from any posture
+        return free[::CANDIDATES]
+    e, _ = bench.residual(free, np.repeat(rows, CANDIDATES))
+    miss = ((e - np.repeat(target[rows], CANDIDATES, axis=0)) ** 2).sum(axis=1)
+    miss = (miss + bench.beyond(free, np.repeat(rows, CANDIDATES)) ** 2).reshape(len(rows), CANDIDATES)
+    # one of the nearest few, so that touches do not crowd where the random postures do
+    order = np.argsort(miss, axis=1)[:, : CANDIDATES // 8]
+    pick = order[np.arange(len(rows)), rng.integers(order.shape[1], size=len(rows))]
+    return np.asarray(free.reshape(len(rows), CANDIDATES, -1)[np.arange(len(rows)), pick])
+
+
+def _met(bench: Bench, start: Array, target: Array, rows: Index, *, held: bool = False) -> tuple[Array, Rows]:
+    """Where Gauss-Newton's smallest steps lead from the starts, and which rows arrive; joints may be held."""
+    free = start.copy()
+    n = len(bench.problem.robot.axes)
+    unit = np.where(bench.problem.robot.revolute, 1.0, 1.0 / SLOW)
+    ease = np.concatenate([unit * (not held), np.full(bench.read, 1.0 / SLOW)])
+    size = max(float(np.abs(target).max(initial=0.0)), 1e-3)
+    e, slopes = bench.residual(free, rows)
+    part = np.ones(len(free))  # of each row's step; a step that would lead away from the target is tried shorter
+    for _ in range(STEPS):
+        miss = e - target
+        if (np.abs(miss) <= FITS * size).all():
+            break
+        eased = slopes * ease
+        gram = eased @ eased.transpose(0, 2, 1)
+        eye = np.eye(gram.shape[1])
+        gram += 1e-12 * np.einsum("kii->k", gram)[:, None, None] * eye + 1e-300 * eye
+        step = -(eased.transpose(0, 2, 1) @ np.linalg.solve(gram, miss[..., None]))[..., 0] * ease
+        largest = np.abs(step[:, :n] / unit).max(axis=1, initial=0.0)
+        there = free + step * (part * np.minimum(1.0, 0.5 / np.maximum(largest, 1e-300)))[:, None]
+        e_there, slopes_there = bench.residual(there, rows)
+        nearer = ((e_there - target) ** 2).sum(axis=1) <= (miss**2).sum(axis=1)
+        free[nearer], e[nearer], slopes[nearer] = there[nearer], e_there[nearer], slopes_there[nearer]
+        part = np.where(nearer, np.minimum(2 * part, 1.0), part / 4)
+    return free, np.asarray((np.abs(e - target) <= 1e3 * FITS * size).all(axis=1) & np.isfinite(free).all(axis=1))
+
 
 ROUNDED = 1e-5  # rad or mm by which postures of a file may be beyond a joint's limit
 MOST_SAMPLES = 1_000_000  # rows beyond which drawing postures takes hours
@@ -223,7 +582,15 @@ def simulate(
                 "Plan them for this problem and cell",
             )
         return found
-    asked = _counts_of(problem, samples)
+    if isinstance(samples, Mapping):
+        for name in samples:
+            problem.number(name)
+        if missing := [name for name in problem.names if name not in samples]:
+            raise SimulationError(f"How many samples of the {missing[0]} was not said", f"Say it: {missing[0]}=120")
+    counts = {name: samples[name] if isinstance(samples, Mapping) else samples for name in problem.names}
+    for count in counts.values():
+        _check_count(count)
+    asked = {name: int(count) for name, count in counts.items()}
     if len(problem.instruments) > 1:
         return simulate_several(problem, cell, asked, int(seed), int(session))
     return simulate_one(problem, cell, asked[problem.names[0]], Draw(int(seed), int(session)))
@@ -251,19 +618,6 @@ def _postures_of(problem: Problem, samples: Samples) -> Samples:
             line=int(samples.lines[k]),
         )
     return samples
-
-
-def _counts_of(problem: Problem, samples: int | Mapping[str, int]) -> dict[str, int]:
-    """How many rows each instrument takes."""
-    if isinstance(samples, Mapping):
-        for name in samples:
-            problem.number(name)
-        if missing := [name for name in problem.names if name not in samples]:
-            raise SimulationError(f"How many samples of the {missing[0]} was not said", f"Say it: {missing[0]}=120")
-    counts = {name: samples[name] if isinstance(samples, Mapping) else samples for name in problem.names}
-    for count in counts.values():
-        _check_count(count)
-    return {name: int(count) for name, count in counts.items()}
 
 
 def _check_count(count: object) -> None:

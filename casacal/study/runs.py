@@ -1,19 +1,314 @@
-"""A study, run: what is not yet recorded is made, here, in processes or on a cluster; records stay in order."""
+"""A study, run: what is not yet recorded is made, here, in processes or on a cluster; each trial within its time."""
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import math
+import multiprocessing
+import os
+import pickle
+import signal
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cache, lru_cache, partial
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import TypeVar
 
-from casacal.errors import StudyError
-from casacal.study import executors, records
-from casacal.study.description import Run, Study
-from casacal.study.records import Key, Record
-from casacal.study.supervised import supervised
-from casacal.study.trial import Task, perform
+from casacal.errors import CasacalError, StudyError, said
+from casacal.study.description import LIMIT, Key, Record, Run, Study, appending, key_of, merged, read_records
+from casacal.study.study_file import load_study
+from casacal.study.trial import Task, failed, heads, perform, trial_records
+from casacal.threads import VARIABLE as THREADS
+from casacal.threads import one_thread_each
 
-Progress = Callable[[int, int], None]
+Asked = TypeVar("Asked")
+Answered = TypeVar("Answered")
+
+CONNECT_SECONDS, CLOSE_SECONDS = 10, 5
+
+_ONE_AT_A_TIME = threading.Lock()
+"""Compiled functions keep buffers, so threads of one process take turns; clocks then measure one method alone."""
+
+
+@dataclass(frozen=True)
+class Errand:
+    """A task for a worker, and how the worker comes by its study."""
+
+    task: Task
+    study: Callable[[], Study]
+
+
+def errands(study: Study, tasks: Sequence[Task], file: str | Path | None, quick: bool) -> list[Errand]:
+    """Tasks for workers that read the study's file themselves, or get a study of values pickled where there is none.
+
+    Raises StudyError for one that only this process understands.
+    """
+    if file is not None:
+        return [Errand(task, partial(_read, str(Path(file).resolve()), quick, study.trials, task)) for task in tasks]
+    try:
+        luggage = pickle.dumps(study)
+    except Exception as error:  # closures and whatever else a user's methods hold
+        what = f"The study '{study.name}' cannot be given to workers: {' '.join(str(error).split())}"
+        raise StudyError(what, "Write it to a file, or run it here") from error
+    return [Errand(task, partial(_loaded, luggage)) for task in tasks]
+
+
+def perform_errand(errand: Errand) -> list[Record]:
+    """Records of a task, in a worker; raises StudyError when its casacal or its study file is another one."""
+    with _ONE_AT_A_TIME:
+        return perform(errand.study(), errand.task)
+
+
+@lru_cache(maxsize=4)
+def _loaded(luggage: bytes) -> Study:
+    try:
+        found = pickle.loads(luggage)
+    except Exception as error:  # what its methods import need not be here
+        fix = "Put its functions into a package that both can import, or run it here"
+        raise StudyError(f"A worker cannot unpack the study: {said(error)}", fix) from error
+    assert isinstance(found, Study)
+    return found
+
+
+def _read(path: str, quick: bool, trials: int, task: Task) -> Study:
+    """The study of a file; raises StudyError when it, or what is beneath it, is not that of the task."""
+    if tuple(_key(path, quick, trials, task.setting, method) for method in task.methods) != task.fingerprints:
+        what = "A worker has another study file, casacal, Python, casadi, numpy or scipy than the one that asks"
+        raise StudyError(what, "Give all of them the same")
+    return _study(path, quick, trials)
+
+
+@cache
+def _study(path: str, quick: bool, trials: int) -> Study:
+    study = load_study(path).form(quick=quick, trials=trials)
+    if study is None:
+        raise StudyError(f"'{path}' defines no study", "Give the file that the run was started with")
+    return study
+
+
+@cache
+def _key(path: str, quick: bool, trials: int, setting: str, method: str) -> str:
+    return _study(path, quick, trials).fingerprint(setting, method)
+
+
+def in_processes(function: Callable[[Asked], Answered], tasks: Sequence[Asked], workers: int) -> Iterator[Answered]:
+    """In `workers` fresh processes of this machine; the function and its tasks must be importable and picklable.
+
+    Raises StudyError when a process dies.
+    """
+    one_thread_each()
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), begin_worker)
+    try:
+        for future in as_completed([pool.submit(function, task) for task in tasks]):
+            yield future.result()
+    except BrokenProcessPool:
+        raise StudyError(
+            "A worker process died",
+            "Run again with --resume; fewer workers need less memory, and with --timeout SECONDS a method that ends "
+            "its process is recorded as a failure",
+        ) from None
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def begin_worker(*, shared: bool = True) -> None:
+    """Leave interruptions from the keyboard to the process that asks, and end with it, also when it is killed.
+
+    shared: whether others run beside it, so that one thread must do.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    if shared:
+        os.environ.setdefault(THREADS, "1")
+
+
+def _end_with_parent() -> None:
+    """Wait for the process that started this one to be gone, and follow it."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)  # a worker whose parent is gone waits for tasks for ever
+
+
+def on_cluster(function: Callable[[Asked], Answered], tasks: Sequence[Asked], address: str) -> Iterator[Answered]:
+    """On the Dask cluster whose scheduler listens at `address`, such as tcp://host:8786.
+
+    Its workers need casacal and the study's file at the same path. Raises StudyError without the extra `cluster`,
+    when no scheduler answers, or when its workers are lost.
+    """
+    try:
+        from dask.distributed import Client, as_completed
+        from distributed import KilledWorker
+    except ImportError:
+        raise StudyError("Dask is not installed", "Install it with pip install distributed") from None
+    try:
+        client = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
+    except (OSError, ValueError) as error:
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise StudyError(f"No Dask scheduler answers at '{address}' ({said})", "Start one: dask scheduler") from None
+    futures = client.map(function, list(tasks), pure=False)
+    log = logging.getLogger("distributed.client")  # tells in tracebacks what is said here in a sentence
+    silent, log.disabled = log.disabled, True
+    try:
+        for _, outcome in as_completed(futures, loop=client.loop, with_results=True):
+            if isinstance(outcome, BaseException):  # what a client gives for futures whose scheduler is gone
+                what = f"The scheduler at '{address}' was lost"
+                raise StudyError(what, "Start it and its workers again, and run again with --resume")
+            yield outcome
+    except KilledWorker as error:
+        raise StudyError(f"The cluster lost its workers ({error})", "Run again with --resume") from None
+    finally:
+        with suppress(Exception):  # a scheduler that is gone cannot be told
+            client.cancel(futures)
+            client.close(timeout=CLOSE_SECONDS)
+        log.disabled = silent
+
+
+BEGIN_SECONDS = 300.0  # how long a process may take to import what it needs and to read the study
+LEEWAY = 30.0  # seconds beyond its limit after which a process whose parent is gone is ended by the system
+_CHILDREN = threading.Lock()
+"""To start a process, Python asks all others whether they have ended; only one thread may hear it."""
+
+
+@dataclass
+class _Heard:
+    """What a process said: `begun` once it has read the study, `made` once its trial is, then the records."""
+
+    begun: bool = False
+    made: bool = False
+    records: list[Record] = field(default_factory=list)
+
+
+def supervised(name: str, errands: Sequence[Errand], seconds: float, workers: int) -> Iterator[list[Record]]:
+    """Records of tasks, each made in a process of its own, `workers` at a time.
+
+    A method, or the making of its trial, that takes longer than `seconds` or ends its process is a failure with that
+    message; the other methods of the trial go on in another process. name: of the study.
+
+    Raises StudyError when a process cannot begin.
+    """
+    one_thread_each()
+    stopped, stop = multiprocessing.get_context("spawn").Pipe(duplex=False)
+    with ThreadPoolExecutor(workers) as pool:
+        asked = [pool.submit(_records, name, errand, seconds, workers, stopped) for errand in errands]
+        try:
+            for future in as_completed(asked):
+                yield future.result()
+        finally:
+            stop.close()
+            pool.shutdown(wait=True, cancel_futures=True)
+            stopped.close()
+
+
+def _records(name: str, errand: Errand, seconds: float, workers: int, stopped: Connection) -> list[Record]:
+    """Records of one task, from as many processes as its methods bring to an end."""
+    found: list[Record] = []
+    left = heads(name, errand.task)
+    while left:
+        remaining = errand.task.without([key_of(record) for record in found])
+        heard, ended = _heard(replace(errand, task=remaining), seconds, workers, stopped)
+        found += heard.records
+        left = left[len(heard.records) :]
+        if ended is None:
+            break
+        if not heard.begun:
+            fix = "Where a script runs the study, let it do so under if __name__ == '__main__'"
+            raise StudyError(f"The process of a trial did not begin ({ended['error']})", fix)
+        blamed = left[:1] if heard.made else left  # a trial that cannot be made fails every method
+        found += [{**head, **ended} for head in blamed]
+        left = left[len(blamed) :]
+    return found
+
+
+def _heard(errand: Errand, seconds: float, workers: int, stopped: Connection) -> tuple[_Heard, Record | None]:
+    """What a process says of a task, and how it ended where it did not say all; no end when the run is stopped."""
+    context, heard = multiprocessing.get_context("spawn"), _Heard()
+    receive, send = context.Pipe(duplex=False)
+    process = context.Process(target=_serve, args=(send, errand, seconds, workers > 1))
+    with _CHILDREN:
+        process.start()
+    send.close()
+    try:
+        while len(heard.records) < len(errand.task.methods):
+            limit = seconds if heard.begun else BEGIN_SECONDS
+            ready = wait([receive, stopped], limit)
+            if stopped in ready:
+                break
+            if not ready:
+                return heard, {**failed(f"TimeLimit: no answer within {limit:g} s"), LIMIT: limit}
+            try:
+                said = receive.recv()
+            except (EOFError, OSError, pickle.UnpicklingError):
+                return heard, failed(_words(process))
+            if isinstance(said, CasacalError):
+                raise said
+            if isinstance(said, dict):
+                heard.records.append(said)
+            heard.made |= heard.begun
+            heard.begun = True
+        return heard, None
+    finally:
+        _end(process)
+        receive.close()
+
+
+def _words(process: BaseProcess) -> str:
+    """How a process ended, as the message of a failure."""
+    code = None
+    if wait([process.sentinel], LEEWAY):
+        with _CHILDREN:
+            process.join()
+            code = process.exitcode
+    if code is None:
+        return "Ended: the process of the trial says no more"
+    if code >= 0:
+        return f"Ended: the process of the trial came to an end with exit code {code}"
+    known = {each.value: each.name for each in signal.Signals}
+    return f"Ended: the process of the trial was killed by {known.get(-code, f'signal {-code}')}"
+
+
+def _end(process: BaseProcess) -> None:
+    """End a process, and those that it started."""
+    if hasattr(os, "killpg") and process.pid is not None:
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
+    with _CHILDREN:
+        process.kill()
+        process.join()
+        process.close()
+
+
+def _serve(send: Connection, errand: Errand, seconds: float, shared: bool) -> None:
+    """Make the records of a task in this process, and say so step by step; shared as for `begin_worker`."""
+    if hasattr(os, "setsid"):
+        os.setsid()  # a group of its own: what a method starts ends with it
+    begin_worker(shared=shared)
+    _at_most(BEGIN_SECONDS)
+    try:
+        study = errand.study()
+    except CasacalError as error:
+        send.send(error)
+        return
+    send.send(None)
+    _at_most(seconds)
+    for record in trial_records(study, errand.task):
+        send.send(record)
+        _at_most(seconds)
+
+
+def _at_most(seconds: float) -> None:
+    """Have the system end this process in time even if its parent is gone and a method never lets go of Python."""
+    if hasattr(signal, "setitimer"):
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.setitimer(signal.ITIMER_REAL, seconds + LEEWAY)
+
 
 RECORDS = "records.jsonl"
 
@@ -29,7 +324,7 @@ def run(
     shard: tuple[int, int] = (1, 1),
     resume: bool = False,
     timeout: float | None = None,
-    progress: Progress | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Run:
     """Run what is not yet recorded in `out`.
 
@@ -61,11 +356,11 @@ def run(
         raise StudyError(what, "Give seconds above zero, and let local processes do the work")
     path, everything = (out / RECORDS).absolute(), tasks_of(study)
     mine = everything[shard[0] - 1 :: shard[1]]
-    with records.appending(path) as appender:
-        found = records.read_records(path)
+    with appending(path) as appender:
+        found = read_records(path)
         done = _kept(study, out, everything, found, resume)
         if timeout is not None:
-            done -= {records.key_of(r) for r in found if r.get(records.LIMIT, timeout) < timeout}
+            done -= {key_of(r) for r in found if r.get(LIMIT, timeout) < timeout}
         missing = [task for task in (task.without(done) for task in mine) if task.methods]
         total = sum(len(task.methods) for task in mine)
         count = total - sum(len(task.methods) for task in missing)
@@ -74,22 +369,22 @@ def run(
         if workers == 1 and scheduler is None and timeout is None:
             all_made: Iterator[list[Record]] = (perform(study, task) for task in missing)
         else:
-            asked = executors.errands(study, missing, file, quick)
+            asked = errands(study, missing, file, quick)
             if timeout is not None:
                 all_made = supervised(study.name, asked, timeout, workers)
             elif scheduler is not None:
-                all_made = executors.on_cluster(executors.perform_errand, asked, scheduler)
+                all_made = on_cluster(perform_errand, asked, scheduler)
             else:
-                all_made = executors.in_processes(executors.perform_errand, asked, workers)
+                all_made = in_processes(perform_errand, asked, workers)
         for made in all_made:
             appender.append(made)
             count += len(made)
             if progress is not None:
                 progress(count, total)
-        ordered = _ordered(everything, records.read_records(path))
+        ordered = _ordered(everything, read_records(path))
         appender.rewrite(ordered)
     known = {key for task in everything for key in task.keys}
-    return Run(study, tuple(r for r in ordered if records.key_of(r) in known), out, quick)
+    return Run(study, tuple(r for r in ordered if key_of(r) in known), out, quick)
 
 
 def open_run(study: Study, out: Path, *, quick: bool = False) -> Run:
@@ -98,7 +393,7 @@ def open_run(study: Study, out: Path, *, quick: bool = False) -> Run:
     Which version of casacal made them does not matter here: a report can be written again long after.
     """
     names = {(s, m, k) for s in study.settings for m in study.methods for k in range(study.trials_of(m))}
-    found = [r for r in records.read_records(out / RECORDS) if (r["setting"], r["method"], r["trial"]) in names]
+    found = [r for r in read_records(out / RECORDS) if (r["setting"], r["method"], r["trial"]) in names]
     if not found:
         raise StudyError(f"'{out}' holds no record of the study '{study.name}'", "Run it first")
     return Run(study, tuple(found), out, quick)
@@ -113,9 +408,9 @@ def merge(study: Study, parts: Sequence[Path], out: Path, *, quick: bool = False
         if not (part / RECORDS).is_file():
             raise StudyError(f"'{part}' holds no records", "Name folders that `casacal study` wrote")
     everything = tasks_of(study)
-    with records.appending(out / RECORDS) as appender:
-        _kept(study, out, everything, records.read_records(out / RECORDS), False)
-        found = records.merged([records.read_records(part / RECORDS) for part in parts])
+    with appending(out / RECORDS) as appender:
+        _kept(study, out, everything, read_records(out / RECORDS), False)
+        found = merged([read_records(part / RECORDS) for part in parts])
         _kept(study, out, everything, found, True)
         ordered = _ordered(everything, found)
         appender.rewrite(ordered)
@@ -151,11 +446,11 @@ def _kept(study: Study, out: Path, tasks: Iterable[Task], found: Sequence[Record
             "casacal, Python, casadi, numpy or scipy",
             "Choose another folder",
         )
-    return {records.key_of(record) for record in found}
+    return {key_of(record) for record in found}
 
 
 def _ordered(tasks: Iterable[Task], found: Iterable[Record]) -> list[Record]:
     """Each record once, in the order of the tasks; records of further trials, from a longer run, after them."""
-    by_key = {records.key_of(record): record for record in found}
+    by_key = {key_of(record): record for record in found}
     listed = [by_key.pop(key) for task in tasks for key in task.keys if key in by_key]
     return [*listed, *(by_key[key] for key in sorted(by_key))]

@@ -18,7 +18,7 @@ from casacal.discrepancy.kit import with_kit, with_link_kit, with_rich_kit
 from casacal.discrepancy.smooth import JointField
 from casacal.errors import ProblemError
 from casacal.estimators import lm
-from casacal.instruments.dial_parts import dial_cycle, dial_gain
+from casacal.instruments.dial import dial_cycle, dial_gain
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.problem.problem import Problem
 from casacal.problem.term import Site

@@ -10,7 +10,7 @@ from casacal.array_types import Array
 from casacal.binding.seen import Seen
 from casacal.errors import CasacalError
 from casacal.least_squares.linalg import posterior_covariance
-from casacal.robots.joint_space import random_joints
+from casacal.robots.robot import random_joints
 from casacal.uncertainty.identifiability import natural_scale
 from casacal.uncertainty.workspace import (
     WORKSPACE_POSES,

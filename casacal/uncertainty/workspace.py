@@ -9,8 +9,7 @@ import numpy as np
 from casacal.array_types import Array, Index
 from casacal.binding.seen import ArmAlone, Seen
 from casacal.least_squares.linalg import posterior_covariance, svd
-from casacal.robots.joint_space import random_joints
-from casacal.robots.robot import Robot
+from casacal.robots.robot import Robot, random_joints
 
 WORKSPACE_POSES = 400
 FEW_POSES = 10

@@ -11,8 +11,7 @@ from markupsafe import Markup
 
 from casacal.compensation.arm import CalibratedArm
 from casacal.errors import CasacalError
-from casacal.pages.drawing import Panel, figure, number, picture, tag
-from casacal.pages.render import fixed, mm, shortened
+from casacal.pages.drawing import Panel, figure, fixed, mm, number, picture, shortened, tag
 from casacal.verification.arm_error import ErrorInterval, PartError
 from casacal.verification.decision import Decision
 

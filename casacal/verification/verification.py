@@ -10,7 +10,7 @@ from typing import Any
 from markupsafe import Markup
 
 from casacal.calibration.opened import Judged
-from casacal.pages.render import fixed, rendered, shortened
+from casacal.pages.drawing import fixed, rendered, shortened
 from casacal.values import Value
 from casacal.verification.arm_error import PartError
 from casacal.verification.decision import Decision

@@ -29,7 +29,7 @@ from casacal.export.controllers import roll_pitch_yaw
 from casacal.instruments import TrackedPoint, TrackedPose
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.unknowns.fits import rigid_fit, transform
+from casacal.unknowns.geometry import rigid_fit, transform
 
 MM = 1000.0  # per metre
 SAME = 1e-6  # mm by which the arm as lines may differ from the arm as drawn

@@ -13,9 +13,7 @@ from casacal.array_types import Array
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.motion import tip_extremes
 from casacal.calibration.page.touches import Touches
-from casacal.pages.drawing import Panel, axes, cells, dots, figure, line, picture
-from casacal.pages.maps import Scale, in_squares
-from casacal.pages.render import count, mm
+from casacal.pages.drawing import Panel, Scale, axes, cells, count, dots, figure, in_squares, line, mm, picture
 from casacal.uncertainty.expectation import Box, accuracy_in_box
 from casacal.uncertainty.workspace import tip_stds, up_to_base, workspace_joints
 from casacal.wording import METRE

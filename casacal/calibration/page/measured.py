@@ -9,7 +9,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.calibration.page.touches import LOOKED_AT, Part, Touches
-from casacal.pages.render import count, fixed, shortened
+from casacal.pages.drawing import count, fixed, shortened
 from casacal.wording import capital
 
 MOST_FACES = 40  # faces with a line of their own

@@ -20,7 +20,7 @@ from casacal.calibration.result_parts import geometry, noise_part, parameter_row
 from casacal.calibration.told import verdict_lines
 from casacal.calibration.verdict import verdict_of
 from casacal.compensation.result import Level
-from casacal.pages.render import count, fixed, mm, rendered
+from casacal.pages.drawing import count, fixed, mm, rendered
 from casacal.uncertainty.discrepancy import VERY_STRONG
 from casacal.uncertainty.expectation import Box
 from casacal.wording import capital, numbered_lines, sized

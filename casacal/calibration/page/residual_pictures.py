@@ -7,9 +7,22 @@ from markupsafe import Markup
 
 from casacal.array_types import Array
 from casacal.calibration.page.touches import TITLES, Part, Places, Touches, When, spread, thinned
-from casacal.pages.drawing import Panel, axes, bars, cells, dots, figure, line, nice_ceiling, picture, steps
-from casacal.pages.maps import Scale, Squares, in_squares
-from casacal.pages.render import shortened
+from casacal.pages.drawing import (
+    Panel,
+    Scale,
+    Squares,
+    axes,
+    bars,
+    cells,
+    dots,
+    figure,
+    in_squares,
+    line,
+    nice_ceiling,
+    picture,
+    shortened,
+    steps,
+)
 
 BINS = (15, 41)  # fewest and most bars, odd, so that one stands about zero
 BARS_REACH = 4.5  # robust standard deviations to which the axis goes

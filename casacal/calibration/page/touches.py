@@ -14,10 +14,9 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.calibration.calibration import Calibration
 from casacal.instruments import Instrument
-from casacal.samples.measurements import Measurements
-from casacal.samples.samples import Samples
+from casacal.samples.samples import Measurements, Samples
 from casacal.tables.columns import Labels
-from casacal.unknowns.fits import fitted_plane
+from casacal.unknowns.geometry import fitted_plane
 
 Rows: TypeAlias = NDArray[np.intp]
 

@@ -1,24 +1,61 @@
-"""A dial indicator on a flat face, or a tool that simply touches it."""
+"""A dial indicator on flat faces, or on faces whose angles are certified; or a tool that simply touches them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal
 
 import casadi as ca
+import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.instruments.description import Dimension, Probe, Sight, Suspect, Travel, Words
-from casacal.instruments.dial_parts import APPROACH, Step
-from casacal.instruments.instrument import Instrument
-from casacal.instruments.tool_tip import tool_point
-from casacal.instruments.usual_mistakes import units_mistaken
+from casacal.instruments.description import Dimension, Probe, Sight, Suspect, Travel, Words, units_mistaken
+from casacal.instruments.instrument import Instrument, tool_point
 from casacal.kinematics import Expression, rotation, transform_point
-from casacal.unknowns import Direction, Parameter, Plane, Unknown
+from casacal.unknowns import Direction, Frame, Parameter, Plane, Unknown
+from casacal.unknowns.geometry import rotation_between, transform
+from casacal.unknowns.unknown import unit_vector
 from casacal.values import FrozenMapping, is_real, plain
+
+APPROACH = (
+    "if the dial is at the end of its travel, move along the plunger until it reads about what is expected: readings "
+    "that differ determine the size of the arm"
+)
+"""What whoever touches with a dial should see to."""
+
+
+def dial_gain(percent: float = 0.15) -> Parameter:
+    """How much too much or too little a dial may show of every way: a prior, from its certificate, else 0.15 %.
+
+    What touches of planes leave of a wrong gain is too small to be seen: geometry absorbs nearly all of it, as an arm
+    that is too large or too small. So this has to be said.
+    """
+    return Parameter(0.0, unit="%", prior_std=percent)
+
+
+def dial_cycle(micrometres: float = 3.0) -> Parameter:
+    """An error that comes back with every turn of the pointer: priors of its cosine and sine, in micrometres."""
+    return Parameter((0.0, 0.0), unit="um", prior_std=micrometres, labels=("_cos", "_sin"))
+
+
+def dial_zero(std: float = 10.0, *, per: str = "session") -> Parameter:
+    """Where a dial was set to zero anew: an unknown for each value of a column, with a prior of so many mm."""
+    return Parameter(0.0, unit="mm", prior_std=std, per=per)
+
+
+@dataclass(frozen=True)
+class Step:
+    """A face parallel to another one at a known distance, as on a gauge block.
+
+    on: label of the other face. height: distance along its normal, towards the tool, mm. std: of the certificate, mm.
+    """
+
+    on: str
+    height: float
+    std: float = 0.0003
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -236,3 +273,81 @@ class DialOnPlane(Instrument):
     def propose(self, key: str, sight: Sight) -> Array:
         """The plane that was touched, as `Sight.touched_plane` has it."""
         return sight.touched_plane() if key == "plane" else super().propose(key, sight)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DialOnBody(DialOnPlane):
+    """Faces of one body: their normals are known up to a common rotation, each face's place along its normal is not.
+
+    Three unknowns for the body and one per face, instead of three per face. Angles fix shape, not size: for that a face
+    must stand at a known distance from another one (`DialOnPlane.steps`).
+
+    Args:
+        normals: normal of each face in the body's own axes, out of the material, by label.
+        body: orientation of the body in the base frame; proposed from the data when not given.
+        offset: place of each face along its normal, mm.
+
+    """
+
+    normals: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    body: Frame = Frame(turns_only=True)
+    offset: Parameter = Parameter(None, unit="mm", per="plane")
+
+    datum = ("body", "offset")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        triples = {label: tuple(float(value) for value in normal) for label, normal in self.normals.items()}
+        object.__setattr__(self, "normals", FrozenMapping(triples))
+        directions = np.array([unit_vector(n, f"The normal of '{label}'") for label, n in self.normals.items()])
+        if len(directions) < 2 or np.linalg.matrix_rank(directions, tol=1e-3) < 2:
+            raise ProblemError("The body has fewer than two directions of faces", "Give normals that are not parallel")
+        if self.steps:
+            raise ProblemError("A body with certified angles has steps", "Use DialOnPlane for the stepped faces")
+
+    @property
+    def unknowns(self) -> Mapping[str, Unknown]:
+        """Tool point, plunger direction, orientation of the body, offset of each face."""
+        own = {"body": self.body, "offset": self.offset}
+        return {"tool": self.tool, "plunger": self.plunger, **self.own_errors, **self.zero_shifts, **own}
+
+    @property
+    def known_columns(self) -> Mapping[str, Mapping[str, float]]:
+        """Components of the row's normal in the body's axes."""
+        units = {label: unit_vector(n, "A normal") for label, n in self.normals.items()}
+        return {f"n{axis}": {label: float(n[i]) for label, n in units.items()} for i, axis in enumerate("xyz")}
+
+    @property
+    def probe(self) -> Probe:
+        """The dial's, on faces whose angles are known."""
+        return replace(super().probe, label="plane", knows_angles=True)
+
+    def with_faces_by_label(self) -> None:
+        """None: a further face needs a certified angle."""
+        return
+
+    def with_step(self, label: str, on: str, height: float) -> None:
+        """None: the faces of a body have places of their own."""
+        del label, on, height
+
+    def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
+        """Signed distance of the tip from its face, mm."""
+        normal = ca.mtimes(rotation(p.body), ca.vertcat(row.nx, row.ny, row.nz))
+        return ca.dot(normal, self.tip(pose, p, row)) - p.offset + self.shifted(normal, pose, p)
+
+    def propose(self, key: str, sight: Sight) -> Array:
+        """Rotation that carries the certified normals to fitted ones; then the mean place of each face along its own.
+
+        Raises ProblemError for rows whose label has no normal.
+        """
+        normals = np.column_stack([sight.columns[name] for name in ("nx", "ny", "nz")])
+        if (np.linalg.norm(normals, axis=1) < 0.5).any():
+            raise ProblemError("Some rows are labelled with a face that the body does not have", "Add its normal")
+        if key == "body":
+            distinct, which = np.unique(normals, axis=0, return_inverse=True)
+            seen = [sight.touched_normal(which.ravel() == i) for i in range(len(distinct))]
+            return Frame.encode(transform(rotation_between(distinct, np.array(seen))[0], np.zeros(3)))
+        if key == "offset":
+            normal = sight.touched_normal(np.ones(len(normals), dtype=bool))
+            return np.array([float((normal * sight.tips).sum(1).mean())])
+        return super().propose(key, sight)

@@ -1,1 +1,0 @@
-"""Robots in files: DH tables in CSV and TOML, and URDF."""
