@@ -67,6 +67,7 @@ from casacal.kinematics import chain as chain
 from casacal.kinematics import deg as deg
 from casacal.kinematics import dh as dh
 from casacal.kinematics import modified_dh as modified_dh
+from casacal.least_squares.gaussian import Gaussian as Gaussian
 from casacal.least_squares.losses import Loss as Loss
 from casacal.least_squares.losses import huber as huber
 from casacal.least_squares.losses import tukey as tukey

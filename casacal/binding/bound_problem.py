@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from casacal.binding.noise_scale import OTHERS, REPEATABILITY, SHARED
 from casacal.binding.nominal import surveys_of
 from casacal.binding.raw_graph import RawGraph
 from casacal.binding.slots import Slot, make_slots, nominals
-from casacal.binding.symbolic import SymbolicProblem
 from casacal.errors import ProblemError, SamplesError
 from casacal.kernels.filter_passes import FilterRows
 from casacal.kernels.native_rows import NativeKernels, NativeNormal, PackedPieces
@@ -26,11 +25,14 @@ from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import DampedStep, ExtendedPass, FilterPass, LeastSquares, Normal
 from casacal.problem.problem import Problem
 from casacal.problem.term import Survey
-from casacal.samples.repeats import Repeats, repeats_in
 from casacal.samples.samples import Measurements, Samples, sets_of
 from casacal.tables.columns import Labels
 from casacal.threads import thread_count
 from casacal.values import EMPTY, FrozenMapping, alike, read_only, short
+
+if TYPE_CHECKING:
+    from casacal.binding.symbolic import SymbolicProblem
+    from casacal.samples.repeats import Repeats
 
 COMPACT, HELD = 50_000, 10_000_000  # rows, and numbers of a whole Jacobian, beyond which none is held
 MOST_SUMS = 4_000_000  # numbers that the sums of all pieces may take: beyond, each piece sums what it sees alone
@@ -283,6 +285,8 @@ class BoundProblem(LeastSquares):
     @cached_property
     def repeats(self) -> Repeats:
         """Which samples repeat one another."""
+        from casacal.samples.repeats import repeats_in
+
         return repeats_in(self.measured, self.groups_by)
 
     @cached_property
@@ -473,6 +477,8 @@ class BoundProblem(LeastSquares):
     @cached_property
     def symbolic(self) -> SymbolicProblem:
         """All rows as CasADi expressions of x, for one's own programs and solvers."""
+        from casacal.binding.symbolic import SymbolicProblem
+
         return SymbolicProblem(self, self.slots, self.blocks)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -26,12 +26,14 @@ from casacal.robots.traced_pose import (
     travels,
     triples,
 )
-from casacal.robots.urdf import UrdfChain
 from casacal.unknowns import Unknown
 from casacal.values import FrozenMapping, Value, alike, read_only, short
 
 PoseFunction = Callable[[Any, Expression], Expression]
-Arm: TypeAlias = DHTable | Screws | UrdfChain
+if TYPE_CHECKING:
+    from casacal.robots.urdf import UrdfChain
+
+Arm: TypeAlias = "DHTable | Screws | UrdfChain"
 Joints: TypeAlias = int | str | Sequence[Joint]
 
 
@@ -215,6 +217,8 @@ class Robot(Value):
         Raises ProblemError that names the joint or link, and what to do.
 
         """
+        from casacal.robots.urdf import UrdfChain
+
         arm = UrdfChain.read(path, base, tip, conventions)
         return Robot(name or arm.name, arm.joints, arm.pose, arm.parameters(length_std, angle_std), arm)
 
