@@ -1,5 +1,7 @@
 """Unknowns that are known together: a correlated prior, against one fit of all rows and against dense algebra."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -113,3 +115,30 @@ def test_a_gaussian_is_conditioned_as_the_books_say():
 def _scaled(covariance):
     stds = np.sqrt(np.diag(covariance))
     return covariance / np.outer(stds, stds)
+
+
+def test_two_that_have_nothing_to_do_with_each_other_stand_beside_each_other():
+    one = Gaussian(("a", "b"), np.array([1.0, 2.0]), np.array([[4.0, 1.0], [1.0, 9.0]]))
+    two = Gaussian(("c",), np.array([3.0]), np.array([[0.25]]))
+    both = one.beside(two)
+    assert both.names == ("a", "b", "c")
+    np.testing.assert_array_equal(both.mean, [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(both.covariance, [[4.0, 1.0, 0.0], [1.0, 9.0, 0.0], [0.0, 0.0, 0.25]])
+    assert both.of({"c", "a"}).names == ("a", "c")
+    np.testing.assert_array_equal(both.of({"c", "a"}).covariance, [[4.0, 0.0], [0.0, 0.25]])
+
+
+def test_what_is_known_together_is_part_of_a_bound_problem(second):
+    """Compared, pickled, and taken along to other rows, other noise and other terms."""
+    plain = second.on(*second.samples)
+    assert plain == second
+    again = pickle.loads(pickle.dumps(second))
+    assert again == second
+    x = second.x0 + second.start_std
+    assert again.prior_cost(x) == second.prior_cost(x)
+    other = second.with_known(Gaussian(second.names, second.x0 + 1e-3, second.known.covariance))
+    assert other != second
+    assert other.prior_cost(x) != second.prior_cost(x)
+    for kept in (second.take(range(10)), second.with_noise({"": 2.0}), second.under(with_kit(second.problem))):
+        assert kept.known == second.known
+        np.testing.assert_array_equal(kept.x0[: second.unknowns], second.x0)

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from casacal.calibration.calibration import MINIMISERS, Calibration
 from casacal.calibration.told import verdict_lines
 from casacal.calibration.verdict import (
+    earlier_contradicted,
     held_as_drawn,
     priors_contradicted,
     unexplained,
@@ -82,6 +83,9 @@ def _repair(calibration: Calibration, check: str) -> str:
     reference, wrong = calibration.reference, wrong_with_samples(calibration)
     if held_as_drawn(calibration):
         return "free it, or state in the problem where it is, and calibrate again."
+    if calibration.earlier is not None and earlier_contradicted(calibration):
+        rows = f"casacal changed {calibration.earlier.file} {calibration.samples.file}"
+        return f"run {rows}, which says what has changed; then name that with --loosen."
     if wrong:
         for name in re.findall(r"--set (\S+?)=", wrong[0].fix):  # what is to be set otherwise is not set so again
             check = re.sub(rf" --set {re.escape(name)}=\S+", "", check)

@@ -86,6 +86,7 @@ def _expected(calibration: Calibration) -> str:
 def _against(calibration: Calibration) -> list[tuple[str, str]]:
     """What makes a result unusable: a clause for the verdict's sentence, and a sentence of its own."""
     found = [(clause, sentence(clause)) for clause in held_as_drawn(calibration)]  # it may look like wrong samples
+    found += [(clause, sentence(clause)) for clause in earlier_contradicted(calibration)]
     found += [(clause, sentence(clause)) for clause in _out_of_reach(calibration)]
     found += [
         (f"the samples look wrong ({error.about})", sentence(str(error).removeprefix("error: ").removesuffix(".")))
@@ -94,8 +95,7 @@ def _against(calibration: Calibration) -> list[tuple[str, str]]:
     if not calibration.result.converged:
         found.append(_unfinished(calibration))
     found += [(clause, sentence(clause)) for clause in _missed_minimum(calibration)]
-    looks = (unexplained, priors_contradicted) if calibration.earlier is None else (earlier_contradicted,)
-    for look in looks:
+    for look in (unexplained, priors_contradicted) if calibration.earlier is None else ():
         found += [] if found else [(clause, sentence(clause)) for clause in look(calibration)]
     if calibration.result.converged and not math.isfinite(calibration.tip_std[1]):
         clause = "these samples do not bound the tip error"
@@ -196,9 +196,8 @@ CONTRADICTED = 1e-3  # chance below which new rows do not fit what an earlier re
 def earlier_contradicted(calibration: Calibration) -> list[str]:
     """That new rows lie where the earlier result, with what was loosened, does not expect them."""
     chance_of_rows = calibration.earlier_chance
-    if not chance_of_rows < CONTRADICTED:
+    if calibration.earlier is None or not chance_of_rows < CONTRADICTED or not calibration.result.converged:
         return []
-    assert calibration.earlier is not None
     loosened = listed(list(calibration.earlier.loosened))
     what = f"something else than {loosened} has changed" if loosened else "something has changed"
     return [
