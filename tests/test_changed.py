@@ -250,7 +250,6 @@ def test_drift_adds_its_variance():
     np.testing.assert_allclose(more, np.diag(wanted), rtol=1e-6, atol=1e-15)
 
 
-@pytest.mark.long
 def test_effects_that_go_with_the_arm_are_as_the_fit_left_them():
     """Gears and give with their covariance with the geometry; warmth begins anew."""
     source, _, fit = calibration("hsr_jr680")

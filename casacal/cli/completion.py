@@ -31,10 +31,11 @@ def run(options: argparse.Namespace) -> int:
     except ImportError:
         fix = "Install it with pip install shtab"
         raise CasacalError("Completion scripts are written by shtab, which is not installed", fix) from None
-    for action in _actions(options.parser):
+    parser = options.whole()
+    for action in _actions(parser):
         if action.metavar in PLACES:
             action.complete = shtab.FILE  # type: ignore[attr-defined]
-    say(shtab.complete(options.parser, options.shell).rstrip())
+    say(shtab.complete(parser, options.shell).rstrip())
     return DONE
 
 

@@ -74,8 +74,8 @@ def run(options: argparse.Namespace) -> int:
     for purpose, step in STEPS.items():
         typed = [part.format(folder, options.seed) for part in step.split()]
         say(f"\n# {purpose}\n$ {shlex.join(['casacal', *typed])}")
-        below = options.parser.parse_args(typed)
-        below.typed, below.parser = shlex.join(["casacal", *typed]), options.parser
+        below = options.whole().parse_args(typed)
+        below.typed, below.whole = shlex.join(["casacal", *typed]), options.whole
         if code := int(below.run(below)):
             return code
     say()

@@ -10,27 +10,9 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from typing import Any, NoReturn
 
-from casacal.cli import (
-    bench,
-    calibrate,
-    changed,
-    check,
-    compensate,
-    completion,
-    demo,
-    doctor,
-    export,
-    measure,
-    new,
-    plan,
-    predict,
-    schema,
-    simulate,
-    study,
-    verify,
-)
 from casacal.cli.common import BAD_INPUT, DONE, INTERRUPTED
 from casacal.cli.terminal import complain, finish, prepare, words_beside
 from casacal.errors import CasacalError
@@ -86,9 +68,26 @@ def _tidying_up() -> bool:
     return error is not None
 
 
-LISTED = (plan, measure, calibrate, simulate, check, doctor, predict, verify, changed, compensate, study, bench, new)
-COMMANDS = {module.__name__.rpartition(".")[2]: module for module in (*LISTED, export, demo, schema, completion)}
-"""Each a module with `HELP`, `add_arguments(parser)` and `run(options)`; they import what they need when they run."""
+COMMANDS = (
+    "plan",
+    "measure",
+    "calibrate",
+    "simulate",
+    "check",
+    "doctor",
+    "predict",
+    "verify",
+    "changed",
+    "compensate",
+    "study",
+    "bench",
+    "new",
+    "export",
+    "demo",
+    "schema",
+    "completion",
+)
+"""Each a module of `casacal.cli` with `HELP`, `add_arguments(parser)` and `run(options)`; imported when typed."""
 
 EPILOG = (
     "The flange is the end of the arm (robot.pose of the problem); the tip is where the instrument touches. Lengths "
@@ -112,14 +111,15 @@ NEGATIVE = re.compile(
 )  # a box, range or number below zero that argparse takes for an option
 
 
-def build_parser() -> _Parser:
+def build_parser(commands: Sequence[str] = COMMANDS) -> _Parser:
     """Parser whose `run` is one command's; it raises CasacalError in place of printing usage."""
     description = "Calibrate a robot arm with a dial indicator and a flat face."
     parser = _Parser(prog="casacal", description=description, epilog=EPILOG)
     parser.add_argument("--version", action="version", version=f"casacal {__version__}")
     parser.commands = {}
     subparsers = parser.add_subparsers(metavar="COMMAND", parser_class=_Parser)
-    for name, command in COMMANDS.items():
+    for name in commands:
+        command = import_module(f"casacal.cli.{name}")
         below = subparsers.add_parser(name, help=command.HELP)
         command.add_arguments(below)
         below.set_defaults(run=command.run)
@@ -144,7 +144,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _caught(typed: list[str]) -> int:
     try:
-        parser, typed = build_parser(), _ranges_joined(typed)
+        asked = [name for name in typed[:1] if name in COMMANDS]
+        parser, typed = build_parser(asked or COMMANDS), _ranges_joined(typed)
         if not typed:
             parser.print_help()
             return DONE
@@ -158,7 +159,7 @@ def _caught(typed: list[str]) -> int:
             raise CasacalError("--out is empty", "Name where the answer is to be written")
         if getattr(options, "out", None) == "-":
             raise CasacalError("--out - names no file", "Standard output is /dev/stdout, a file of that name ./-")
-        options.typed, options.parser = shlex.join(["casacal", *typed]), parser
+        options.typed, options.whole = shlex.join(["casacal", *typed]), build_parser
         try:
             with words_beside(getattr(options, "out", None)):
                 return heard(lambda: int(options.run(options)))
