@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 from scipy.optimize import least_squares
+from scipy.stats import chi2
 from test_changed import calibration, cell_of, off, robot, touched
 
 from casacal import (
@@ -120,6 +121,36 @@ def test_it_is_the_minimum_that_a_dense_solve_finds(joint, shift):
     here = [places.index(name) for name in names]
     covariance = new.result.covariance[np.ix_(here, here)] / np.outer(stds, stds)
     np.testing.assert_allclose(covariance, spread[np.ix_(index, index)] / np.outer(stds, stds), atol=1e-2)
+
+
+def test_what_was_known_beside_the_geometry_is_part_of_the_prior():
+    """Gears, give and play with their covariance with the geometry, as the first fit left them all."""
+    _, _, first = calibration("hsr_jr680")
+    new = since("hsr_jr680", touched("hsr_jr680", 20), first, standing=["plane"])
+    places = {name: j for j, name in enumerate(first.fit.names)}
+    kept = [j for j, key in enumerate(new.fit.beside) if key in ("", "wave1", "wave2", "give", "play")]
+    there = [places[new.fit.names[j]] for j in kept]
+    assert len(kept) > new.fit.beside.count("")
+    np.testing.assert_allclose(new.fit.x0[kept], first.result.x[there], atol=1e-12)
+    covariance = new.fit.prior_covariance[np.ix_(kept, kept)]
+    np.testing.assert_allclose(covariance, first.result.covariance[np.ix_(there, there)], rtol=1e-9, atol=1e-18)
+
+
+@pytest.mark.parametrize("standing", [(), ("plane",)])
+def test_the_chance_of_the_rows_is_that_of_their_dense_covariance(standing):
+    """Rows are normal about what the earlier result expects, with the covariance I + J C J'; faces anew are free."""
+    rows = touched("hsr_jr680", 40, session=14)
+    new = calibrate(robot("hsr_jr680")[0], rows, prior=plain(), standing=standing, **PLAIN)
+    fit, covariance = new.fit, new.fit.prior_covariance
+    held = np.isfinite(np.diag(covariance))
+    assert held.sum() == fit.unknowns - (0 if standing else 9)
+    r, j = fit.residual(fit.x0), fit.jacobian(fit.x0)
+    beside = np.linalg.svd(j[:, ~held])[0][:, fit.unknowns - int(held.sum()) :] if not standing else np.eye(len(r))
+    inside = beside.T @ (np.eye(len(r)) + j[:, held] @ covariance[np.ix_(held, held)] @ j[:, held].T) @ beside
+    left = beside.T @ r
+    expected = chi2.sf(left @ np.linalg.solve(inside, left), len(left))
+    assert new.earlier_chance == pytest.approx(expected, rel=0.05)
+    assert 1e-3 < expected < 0.999
 
 
 def test_old_rows_and_new_are_one_fit_where_all_is_linear():
