@@ -446,6 +446,18 @@ def test_the_very_first_touch_may_be_wrong(hsr, route, world):
     assert named > 3
 
 
+def test_after_a_correction_all_is_as_if_nothing_had_been_wrong(hsr, route, world):
+    """A turn of the pointer too many in the last of twenty touches, put right."""
+    before = taken(Session(hsr.problem, route), world, range(1, 20))
+    joints, reading, face = world.touch(20)
+    wrong, right = (before.take(joints, each, face, number=20) for each in (reading + 1.0, reading))
+    assert wrong.alarm is not None
+    put_right = wrong.correct(next(each for each in wrong.alarm.suspects if each.slip and each.touch == 19))
+    assert put_right.touches[19].columns["reading"] == pytest.approx(reading, abs=1e-9)
+    np.testing.assert_allclose(put_right.belief.mean, right.belief.mean, atol=1e-9)
+    np.testing.assert_allclose(put_right.belief.root, right.belief.root, atol=1e-9)
+
+
 def test_the_best_of_the_plan_comes_first_where_that_is_asked(hsr, route, world):
     """Each row's part in the tip error by an inverse of its own; fewer touches then leave less."""
     wished, plain = Session(hsr.problem, route, best_first=True), Session(hsr.problem, route)

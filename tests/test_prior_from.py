@@ -38,6 +38,8 @@ from casacal.least_squares.gaussian import Gaussian
 from casacal.least_squares.losses import huber
 from casacal.least_squares.objective import LeastSquares
 from casacal.samples.samples import write_samples
+from casacal.simulation.simulate import simulate_one
+from casacal.simulation.touches import Draw
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
 HSR = str(ROOT / "problems" / "hsr_jr680")
@@ -318,17 +320,14 @@ def test_what_is_no_prior_is_refused():
     source, _, arm = robot("hsr_jr680")
     rows = touched("hsr_jr680", 24, session=10)
     held = source.problem.fix("theta3")
-    dial = dataclasses.replace(source.problem.instrument, tool=tool_point(0.7, -0.5, 0.3, prior_std=1.0))
-    with_tool = Problem(source.problem.robot, dial)
     ur5 = robot("ur5")[2]
     for problem, given, said in (
         (held, {"prior": arm}, "'theta3', which is free in the other"),
-        (with_tool, {"prior": arm}, "which is free in the other"),
         (source, {"prior": ur5}, "is not the calibrated one"),
         (source, {"prior": arm, "loosen": "joint3"}, "Got the text 'joint3' as the list to loosen"),
         (source, {"prior": arm, "loosen": ["joint9"]}, "joint9"),
         (source, {"prior": arm, "loosen": ["tool"]}, "'tool' may have changed, but this problem holds it"),
-        (source, {"prior": arm, "loosen": {"theta": -1.0}}, "as the drift of 'theta'"),
+        (source, {"prior": arm, "loosen": {"theta": -1.0}}, "The drift of 'theta' is -1.0"),
         (source, {"prior": arm, "standing": ["ceiling"]}, "ceiling"),
         (source, {"prior": 3}, "as the earlier result"),
         (source, {"prior": arm, "loss": huber()}, "Got a loss beside an earlier result"),
@@ -342,6 +341,40 @@ def test_what_is_no_prior_is_refused():
     true = CalibratedArm(arm.file, arm.source, {**arm.document, "method": "truth"})
     with pytest.raises(CasacalError, match="a true arm is not estimated"):
         calibrate(source, rows, prior=true)
+
+
+def test_another_tool_is_found_on_an_arm_that_is_known():
+    """Held by the earlier calibration, free now: fitted to these rows. The other way round it would be forgotten."""
+    source, cell, arm = robot("hsr_jr680")
+    dial = source.problem.instrument
+    drawn, stands = (tool_point(*place, prior_std=1.0) for place in ((0, 0, 0), (0.7, -0.5, 0.3)))
+    bent = Problem(
+        source.problem.robot, dataclasses.replace(dial, tool=dataclasses.replace(dial.tool, values=stands.values))
+    )
+    rows = simulate_one(bent, cell, 60, Draw(3, session=5)).samples
+    assert not since("hsr_jr680", rows, arm, standing=["plane"]).success
+    free = Problem(source.problem.robot, dataclasses.replace(dial, tool=drawn))
+    new = calibrate(free, rows, prior=arm, standing=["plane"], reference=False)
+    assert new.success, new.arm.verdict
+    places = [new.fit.names.index(f"tool_{axis}") for axis in "xyz"]
+    off = new.x[places] - np.array([0.7, -0.5, 0.3])
+    assert (np.abs(off) < 4 * new.std[places]).all()
+    with pytest.raises(CasacalError, match="this problem holds 'tool_x', which is free in the other"):
+        calibrate(source, touched("hsr_jr680", 24, session=10), prior=new, reference=False)
+
+
+def test_a_method_that_does_not_arrive_says_nothing_of_the_rows():
+    rows = touched("hsr_jr680", 24, session=10)
+    new = since("hsr_jr680", rows, robot("hsr_jr680")[2], standing=["plane"], method="plane-only")
+    assert new.earlier_chance == pytest.approx(
+        since("hsr_jr680", rows, robot("hsr_jr680")[2], standing=["plane"]).earlier_chance
+    )
+    anywhere = {"theta3": math.inf}
+    loose, named = (
+        since("hsr_jr680", rows, robot("hsr_jr680")[2], standing=["plane"], loosen=each)
+        for each in (anywhere, ["theta3"])
+    )
+    np.testing.assert_array_equal(loose.x, named.x)
 
 
 def refused(arm):

@@ -459,7 +459,7 @@ def test_refusals(good, hsr):
     )
     damaged = dataclasses.replace(arm, document={**arm.document, "proposed": {"plane.wall": [1.0, 2.0]}})
     refusals = [
-        (lambda: verify(arm, some), SamplesError, "calibrated from, which verifies nothing"),
+        (lambda: verify(arm, some), SamplesError, "calibrated from, which say nothing new"),
         (lambda: verify(arm, fresh, problem=ur5), CasacalError, "the arm of the problem .UR5. is not the calibrated"),
         (
             lambda: verify(arm, fresh, problem=Problem(robot, hsr.problem.instrument)),
@@ -541,7 +541,7 @@ DISGUISES = {
 @pytest.mark.parametrize("disguise", DISGUISES)
 def test_fitted_rows_are_known_whatever_they_wear(spent, disguise):
     arm, some, _, _ = spent
-    with pytest.raises(SamplesError, match=r"the arm was calibrated from, which verifies nothing.*other postures"):
+    with pytest.raises(SamplesError, match=r"the arm was calibrated from, which say nothing new.*other postures"):
         verify(arm, DISGUISES[disguise](frame_of(some)))
 
 
@@ -584,7 +584,7 @@ def test_fresh_rows_of_the_seed_of_the_calibration_are_fresh(hsr):
     found = calibrate(hsr, some, method="lm", reference=False, discrepancy="none")
     same = verify(found, dataclasses.replace(fresh, columns={"reading": fresh.columns["reading"] + 1.0}))
     assert same.judged.rows == 60
-    with pytest.raises(SamplesError, match="verifies nothing"):
+    with pytest.raises(SamplesError, match="say nothing new"):
         verify(found, some)
 
 
@@ -798,7 +798,7 @@ def test_rows_that_do_not_say_which_face_they_are_on_are_told_so(by_command, run
 def test_the_command_refuses_in_one_line(by_command, run):
     result, fresh = str(by_command), str(by_command / "fresh.csv")
     for arguments, says in (
-        ((result, str(by_command / "fit.csv")), "verifies nothing"),
+        ((result, str(by_command / "fit.csv")), "say nothing new"),
         ((result, "none.csv"), "no such file"),
         ((result, " "), "SAMPLES is empty"),
         (("nowhere", fresh), "no such file"),

@@ -213,7 +213,10 @@ class Calibration(Value):
     @cached_property
     def earlier_chance(self) -> float:
         """Chance of rows so far from what an earlier result expects of them; one where there is none."""
-        return 1.0 if self.earlier is None else self.earlier.chance_of(self.result)
+        if self.earlier is None:
+            return 1.0
+        arrived = self.method in MINIMISERS  # others end anywhere, which says nothing of the rows
+        return self.earlier.chance_of(self.result if arrived else lm(self.fit, start=self.result.x))
 
     @cached_property
     def left_out(self) -> tuple[LeftOut, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -141,13 +142,12 @@ def earlier(
     if not same_arm(arm.source.problem.robot, robot):
         what = f"{arm.file}: the arm of the problem ({robot.name}) is not the calibrated one"
         raise CasacalError(what, "Give the problem that it was calibrated with")
-    mine, its = source.problem.instrument, arm.source.problem.instrument
-    other = type(mine) is not type(its) or set(mine.unknowns) != set(its.unknowns)
+    other = type(source.problem.instrument) is not type(arm.source.problem.instrument)
     _refuse_other_unknowns(arm, source.problem, other=other)
     opened = fresh_among(arm, source, samples, other=other)
     found, said = arm.found, arm.found.verdict
     given = loosen if isinstance(loosen, Mapping) else dict.fromkeys(loosen)
-    stds = {name.replace("joint ", "joint"): std for name, std in given.items()}
+    stds = {name.replace("joint ", "joint"): None if std == math.inf else std for name, std in given.items()}
     return RowsSince(
         opened,
         EarlierResult(
@@ -185,12 +185,18 @@ def _arm_of(result: Any) -> CalibratedArm:
 
 
 def _refuse_other_unknowns(arm: CalibratedArm, problem: Problem, *, other: bool) -> None:
-    """Raise CasacalError where an unknown is free in one of the problems and held in the other."""
-    free = []
+    """Raise CasacalError where an unknown of the arm is free in one of the problems and held in the other.
+
+    Of the instrument where it is held now: where it stood by the earlier result would be forgotten. One that is free
+    now, such as a new tool, is fitted to these rows.
+    """
+    robots, instruments = [], []
     for each in (arm.source.problem, problem):
-        unknowns = {**each.robot.parameters, **({} if other else each.instrument.unknowns)}
-        free.append({name for key, unknown in unknowns.items() if unknown.per is None for name in unknown.names(key)})
-    if differ := sorted(free[0] ^ free[1]):
-        held = "this problem holds" if differ[0] in free[0] else "the earlier calibration held"
-        fix = "Give the problem that it was calibrated with, without --fix or --free"
+        robots.append({name for key, unknown in each.robot.parameters.items() for name in unknown.names(key)})
+        own = ((key, unknown) for key, unknown in each.instrument.unknowns.items() if unknown.per is None)
+        instruments.append({name for key, unknown in own for name in unknown.names(key)})
+    lost = set() if other else instruments[0] - instruments[1]
+    if differ := sorted((robots[0] ^ robots[1]) | lost):
+        held = "the earlier calibration held" if differ[0] in robots[1] else "this problem holds"
+        fix = "Give the problem that it was calibrated with, without other --fix or --free"
         raise CasacalError(f"{arm.file}: {held} '{differ[0]}', which is free in the other", fix)

@@ -16,7 +16,7 @@ from casacal.binding.noise_scale import OTHERS, REPEATABILITY
 from casacal.binding.slots import make_slots
 from casacal.calibration.shifts import JOINTS, joint_direction, shift_columns, with_shifts
 from casacal.compensation.arm import CalibratedArm, all_motion, named_covariance, with_effects
-from casacal.errors import CasacalError, ProblemError, SamplesError, UnknownNameError, came
+from casacal.errors import CasacalError, ProblemError, SamplesError, UnknownNameError
 from casacal.estimators import lm
 from casacal.least_squares.conditioned import Conditioned
 from casacal.least_squares.gaussian import Gaussian
@@ -112,7 +112,7 @@ class Fresh:
         covariance, units = self.covariance.copy(), np.array(bound.units)[self.known]
         for name, std in stds.items():
             if std is not None and not (is_real(std) and 0 <= std < math.inf):
-                raise CasacalError(f"Got {came(std)} as the drift of '{name}'", "Give zero or more, mm or rad")
+                raise CasacalError(f"The drift of '{name}' is {std!r}", "Give a number of mm or rad, zero or more")
             if name in places:
                 sizes = [ANYWHERE.get(units[k], 1.0) if std is None else float(std) for k in places[name]]
                 covariance[places[name], places[name]] += np.square(sizes)

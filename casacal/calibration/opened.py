@@ -236,7 +236,7 @@ def fresh_among(arm: CalibratedArm, source: ProblemFile, rows: Samples, *, other
     if part >= SPENT:
         said = "these are the rows" if seen.all() or not seen.any() else "half of the rows or more are those"
         fix = "Take fresh rows, in other postures"
-        raise SamplesError(rows.file, f"{said} that the arm was calibrated from, which verifies nothing", fix)
+        raise SamplesError(rows.file, f"{said} that the arm was calibrated from, which say nothing new", fix)
     copied, fitted = (
         tuple(int(some.lines[k]) for k in np.flatnonzero(which).tolist())
         for some, which in ((rows, again), (once, seen))
