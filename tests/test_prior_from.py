@@ -364,17 +364,30 @@ def test_another_tool_is_found_on_an_arm_that_is_known():
 
 
 def test_a_method_that_does_not_arrive_says_nothing_of_the_rows():
-    rows = touched("hsr_jr680", 24, session=10)
-    new = since("hsr_jr680", rows, robot("hsr_jr680")[2], standing=["plane"], method="plane-only")
-    assert new.earlier_chance == pytest.approx(
-        since("hsr_jr680", rows, robot("hsr_jr680")[2], standing=["plane"]).earlier_chance
+    rows, arm = touched("hsr_jr680", 24, session=10), robot("hsr_jr680")[2]
+    there, elsewhere = (
+        since("hsr_jr680", rows, arm, standing=["plane"], method=method) for method in ("lm", "plane-only")
     )
-    anywhere = {"theta3": math.inf}
-    loose, named = (
-        since("hsr_jr680", rows, robot("hsr_jr680")[2], standing=["plane"], loosen=each)
-        for each in (anywhere, ["theta3"])
+    assert elsewhere.result.cost > 1.01 * there.result.cost
+    assert elsewhere.earlier_chance == pytest.approx(there.earlier_chance)
+
+
+def test_infinitely_loose_is_loosened_without_a_number():
+    rows, arm = touched("hsr_jr680", 24, session=10), robot("hsr_jr680")[2]
+    both = (
+        since("hsr_jr680", rows, arm, standing=["plane"], loosen=each) for each in ({"theta3": math.inf}, ["theta3"])
     )
-    np.testing.assert_array_equal(loose.x, named.x)
+    np.testing.assert_array_equal(*(each.x for each in both))
+
+
+def test_effects_that_were_corrected_stay_so():
+    _, _, first = calibration("hsr_jr680")
+    new = since("hsr_jr680", touched("hsr_jr680", 20), first, standing=["plane"])
+    assert new.tried
+    assert new.corrected == first.corrected
+    for keys in ((), ("give",), ("give", "wave1")):
+        was = dataclasses.replace(new.earlier, corrected=keys)
+        assert {each.key for each in was.tried(new.fit, new.result) if each.corrected} == set(keys)
 
 
 def refused(arm):
