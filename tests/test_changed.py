@@ -26,9 +26,8 @@ from casacal import (
 )
 from casacal.calibration.fresh import with_memory
 from casacal.calibration.opened import opened
-from casacal.changes.causes import Cause
 from casacal.changes.explain import Explanation, FittedCause, contenders, explanations
-from casacal.changes.look import AllTests, Look, row_bases
+from casacal.changes.look import AllTests, Cause, Look, row_bases
 from casacal.errors import SamplesError, UnknownNameError
 from casacal.samples.samples import joined
 from casacal.simulation.simulate import simulate_one

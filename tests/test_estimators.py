@@ -38,8 +38,8 @@ from casacal import (
 )
 from casacal.errors import ProblemError
 from casacal.estimators.ekf import linear_update
-from casacal.estimators.ipopt_objective import Objective
-from casacal.estimators.lm_decisions import Damping, Move, Point, Shortest, acceptable, given_up, next_move
+from casacal.estimators.ipopt import Objective
+from casacal.estimators.lm import Damping, Move, Point, Shortest, acceptable, given_up, next_move
 from casacal.estimators.sckf import Belief, cubature_update, predict
 from casacal.least_squares.objective import DampedStep, Normal
 from casacal.least_squares.result import Status

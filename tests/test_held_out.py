@@ -123,7 +123,7 @@ def test_a_face_left_out_is_a_face_verified(rows, hsr):
             for k, each in enumerate((faces != face, faces == face))
         )
         judged, one = verify(quick(hsr, others), alone), found[face]
-        assert (one.rows, one.freedom) == (judged.rows, judged.freedom) == (40, 37)
+        assert (one.rows, one.freedom) == (judged.judged.rows, judged.freedom) == (40, 37)
         assert one.chi_square == pytest.approx(judged.chi_square, rel=0.02)
         assert one.actual_mm == pytest.approx(judged.after_mm, rel=0.02)
         assert one.predicted_mm == pytest.approx(judged.predicted_mm, rel=0.02)

@@ -25,7 +25,7 @@ from casacal import (
 from casacal.calibration.given import METHODS
 from casacal.cli.main import main
 from casacal.estimators import nlpsol, sckf_lm
-from casacal.estimators.ipopt_objective import Objective
+from casacal.estimators.ipopt import Objective
 from casacal.estimators.population import Search
 from casacal.least_squares.losses import worth_under
 from casacal.study.trial import Metered

@@ -19,7 +19,7 @@ from casacal import (
 from casacal.binding.seen import seen
 from casacal.calibration.verdict import verdict_of
 from casacal.checks.check import _few_of_each_face
-from casacal.estimators.ipopt_objective import Objective
+from casacal.estimators.ipopt import Objective
 from casacal.least_squares.linalg import determined
 from casacal.planning.cures import cures
 from casacal.uncertainty.discrepancy import with_effects

@@ -20,12 +20,10 @@ from measured_world import World
 from casacal import CasacalError, Instrument, Parameter, Problem, load_problem, plan, read_route
 from casacal.cli.main import main
 from casacal.kinematics import position
-from casacal.measuring.conversation import answered, posture
+from casacal.measuring.conversation import answered, command_of, help_words, posture, touch_of
 from casacal.measuring.gauges import HOLD, LONGEST, QUIET, Entry, Inbox, SerialLine, gauge
 from casacal.measuring.session import Session
-from casacal.measuring.touch import Touch
-from casacal.measuring.touch_file import TouchFile
-from casacal.measuring.typed import command_of, help_words, touch_of
+from casacal.measuring.touch import Touch, TouchFile
 from casacal.planning.plan import plan_text, write_plan
 
 pty = pytest.importorskip("pty")

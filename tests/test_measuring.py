@@ -14,7 +14,7 @@ from scipy.stats import chi2, multivariate_normal
 
 from casacal import CasacalError, Session, bind, lm, load_problem, plan
 from casacal.measuring.conversation import ended
-from casacal.measuring.linear import LinearRows, error_below, expected_error, spectrum
+from casacal.measuring.known import LinearRows, error_below, expected_error, spectrum
 from casacal.measuring.touch import Touch, rows_of, slips_of
 from casacal.planning.choice import Clearance
 from casacal.robots.links import nodes_of

@@ -22,6 +22,7 @@ from casacal.calibration.sensitivity import Sensitivity
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
 from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.result import Verdict
 from casacal.errors import CasacalError
 from casacal.files import jsonable, write_text
 from casacal.planning.cures import Cure
@@ -48,9 +49,14 @@ class Calibrated(Calibration, AsArm):
         return Calibration(**{field.name: getattr(self, field.name) for field in fields(Calibration)})
 
     @cached_property
+    def verdict(self) -> Verdict:
+        """How far the result may be used, and what speaks against it; it may take the whole data check to know."""
+        return verdict_of(self)
+
+    @property
     def denied(self) -> bool:
-        """Whether the verdict is not to use this result; it may take the whole data check to know."""
-        return verdict_of(self).level == "do not use"
+        """Whether the verdict is not to use this result."""
+        return self.verdict.level == "do not use"
 
     @property
     def passed(self) -> bool:
@@ -154,7 +160,7 @@ class Calibrated(Calibration, AsArm):
     @property
     def message(self) -> str:
         """The verdict, unless it is simply "calibrated", and how the method ended: sentences that say what to do."""
-        said = verdict_of(self)
+        said = self.verdict
         return self.result.message if said.level == "calibrated" else f"{said.words} {self.result.message}"
 
     @property
@@ -230,12 +236,12 @@ class Calibrated(Calibration, AsArm):
         Raises CasacalError where the verdict is not to use this result.
         """
         if self.denied:
-            what = f"{verdict_of(self).words.removesuffix('.')}; so nothing is known of how uncertain the tip is"
+            what = f"{self.verdict.words.removesuffix('.')}; so nothing is known of how uncertain the tip is"
             raise CasacalError(what, "Mend what the verdict names, and calibrate again")
         return self._drawn(plot_tip_std, ax, (6.0, 5.0))
 
     def __repr__(self) -> str:
-        (before, now), level = self.tip_std, verdict_of(self).level
+        (before, now), level = self.tip_std, self.verdict.level
         shown = "" if self.denied else f"expected tip error {before:.3g} to {now:.3g} mm RMS, "
         name = self.fit.problem.robot.name
         return f"<casacal calibration of {name} by {self.method}: {len(self.samples)} samples, {shown}{level}>"

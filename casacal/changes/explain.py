@@ -20,9 +20,8 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.calibration.fresh import Fresh
-from casacal.changes.causes import Cause
 from casacal.changes.change import Change
-from casacal.changes.look import Look, alone
+from casacal.changes.look import Cause, Look, alone
 from casacal.errors import CasacalError
 from casacal.estimators import lm
 from casacal.files import MADE, write_text

@@ -1,4 +1,8 @@
-"""Fresh rows with unit covariance: what each cause would take off their chi-square, and whether that is chance."""
+"""What may have changed since a calibration, and what each cause would take off the chi-square of fresh rows.
+
+A cause is a set of directions in which the rows would move. Rows are whitened to unit covariance, so that the fall of
+their chi-square by a cause is chance or is not.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +18,56 @@ from scipy.special import fdtri, ndtri
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.calibration.fresh import Fresh
-from casacal.calibration.shifts import with_shifts
-from casacal.changes.causes import Cause, causes_of
+from casacal.calibration.shifts import BASE, BASE_TURN, JOINTS, TOOL, TURN, shift_columns, with_shifts
 from casacal.least_squares.linalg import svd
 from casacal.uncertainty.fresh_rows import FreshRows, chances, seen_basis
+
+USUAL = {"rad": 3e-3, "mm": 3.0}
+"""A change that would surprise nobody: what tells a cause of one number from one of six that explains as much."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cause:
+    """One thing that may have changed.
+
+    name: as people are told of it. kind: "joint", "tool", "base" or "place". columns: its unknowns (k,) in x of the
+    shifted rows. units, labels: of each. place: number of the joint (0, ...), or -1.
+    """
+
+    name: str
+    kind: str
+    columns: NDArray[np.intp]
+    units: tuple[str, ...]
+    labels: tuple[str, ...]
+    place: int = -1
+
+    @property
+    def sizes(self) -> Array:
+        """Changes (k,) that would surprise nobody."""
+        return np.array([USUAL.get(unit, 1.0) for unit in self.units])
+
+
+def causes_of(fresh: Fresh, shifted: BoundProblem) -> tuple[Cause, ...]:
+    """Every joint, the tool, the base, and each thing that was said to stand where it was calibrated."""
+    found = []
+    joints = shift_columns(shifted, JOINTS)
+    for i, (axis, column) in enumerate(zip(shifted.problem.robot.axes, joints, strict=True)):
+        unit = "rad" if axis.turns else "mm"
+        found.append(Cause(f"joint {i + 1}", "joint", np.array([column]), (unit,), ("zero",), i))
+    labels = ("x", "y", "z", "about x", "about y", "about z")
+    turns_show = any(block.unit == "rad" for block in shifted.problem.instrument.blocks)  # as of a body's pose
+    for name, keys in (("tool", (TOOL, TURN) if turns_show else (TOOL,)), ("base", (BASE, BASE_TURN))):
+        columns = np.concatenate([shift_columns(shifted, key) for key in keys])
+        units = (("mm",) * 3 + ("rad",) * 3)[: columns.size]
+        found.append(Cause(name, name, columns, units, labels[: columns.size]))
+    for slot in fresh.bound.slots:
+        columns = np.array(slot.columns, dtype=np.intp)
+        if slot.beside or not slot.datum or not columns.size or not fresh.known[columns].all():
+            continue
+        names = tuple(name.removeprefix(slot.name).lstrip("._") for name in slot.unknown.names(slot.name))
+        found.append(Cause(slot.name, "place", columns, tuple(slot.unknown.units), names))
+    return tuple(found)
+
 
 DRAWS = 20_000  # sets of rows of an arm that has not changed: the rate of false alarms is met to 0.0007 at 1 %
 AT_ONCE = 4_000_000  # numbers that are drawn at once

@@ -33,7 +33,7 @@ from casacal.errors import CasacalError
 if TYPE_CHECKING:
     from casacal.measuring.gauges import Entry, Gauge, SerialLine
     from casacal.measuring.session import Session
-    from casacal.measuring.touch_file import TouchFile
+    from casacal.measuring.touch import TouchFile
     from casacal.planning.route import Route
     from casacal.problem.problem_file import ProblemFile
 
@@ -91,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
 def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, TouchFile]:
     """The session as it begins or goes on, and its file."""
     from casacal.measuring.session import Session
-    from casacal.measuring.touch_file import TouchFile
+    from casacal.measuring.touch import TouchFile
     from casacal.planning.route import read_route, refuse_plan_of_another
 
     layout = source.problem.layout()
@@ -189,7 +189,7 @@ def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | No
 
 def _further(session: Session) -> bool:
     """Say how many touches beyond the plan it takes, now and then; whether there is any sense in more."""
-    from casacal.measuring.linear import MOST
+    from casacal.measuring.known import MOST
 
     beyond = sum(touch.number is None for touch in session.touches)
     if beyond % EVERY:

@@ -16,8 +16,21 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError
-from casacal.measuring.known import Known, Places, known_before, known_from, places_of, telling
-from casacal.measuring.linear import POOL, LinearRows, ShiftedBelief, innovations_at, length, log_density, square
+from casacal.measuring.known import (
+    POOL,
+    Known,
+    LinearRows,
+    Places,
+    ShiftedBelief,
+    innovations_at,
+    known_before,
+    known_from,
+    length,
+    log_density,
+    places_of,
+    square,
+    telling,
+)
 from casacal.measuring.touch import Slip, Touch, rows_of
 from casacal.planning.choice import Clearance, pool_of
 from casacal.planning.route import CHECK

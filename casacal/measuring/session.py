@@ -10,8 +10,17 @@ from casacal.array_types import Array
 from casacal.errors import CasacalError, came, refuse_unknown
 from casacal.estimators.sckf import Belief
 from casacal.measuring.examine import Alarm, SessionSetting, SessionState, Suspected, refuse_along
-from casacal.measuring.known import Known, counts, known_before
-from casacal.measuring.linear import Pool, chance_of, error_below, expected_error, innovations_at, spectrum
+from casacal.measuring.known import (
+    Known,
+    Pool,
+    chance_of,
+    counts,
+    error_below,
+    expected_error,
+    innovations_at,
+    known_before,
+    spectrum,
+)
 from casacal.measuring.touch import Slip, Touch, columns_of, joints_of, labels_of, rows_of, slips_of
 from casacal.planning.choice import Clearance, refuse_several, wanted_field, wanted_joints
 from casacal.planning.route import CHECK, FIT, Route
