@@ -8,6 +8,8 @@ loosened. Intervals of the parameters and the expected tip error are held agains
 """
 
 import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -75,12 +77,26 @@ def add_arm(found: Found, source: ProblemFile, seed: int, options: dict[str, Any
             found.inside += abs(x - truth[name]) < WITHIN * std
 
 
+def picture(found: Mapping[str, Found], out: Path) -> None:
+    """What the tip errs by against what was expected, arm by arm."""
+    made = reporting.figure(9, 4)
+    for axes, (words, each) in zip(made.subplots(1, len(found), sharex=True, sharey=True), found.items(), strict=True):
+        axes.loglog(each.expected, each.errors, ".", ms=4)
+        ends = [0.5 * min(each.expected, default=0.1), 2 * max(each.expected, default=1.0)]
+        axes.loglog(ends, ends, lw=0.8, color="0.5")
+        axes.set_title(words, fontsize=9)
+        axes.set_xlabel("expected tip error, mm RMS")
+    made.axes[0].set_ylabel("tip error, mm RMS")
+    reporting.save(made, out / "expected.png")
+
+
 def report(run: Run) -> list[str]:
     """Coverage, tip errors against what was expected, and how often a slip that nobody loosened is caught."""
+    run.out.mkdir(parents=True, exist_ok=True)
     source, arms = load_problem(reporting.PROBLEMS / "hsr_jr680"), 2 if run.quick else 100
-    rows = []
+    rows, every = [], dict[str, Found]()
     for words, options in KINDS.items():
-        found = Found()
+        found = every[words] = Found()
         for seed in range(1, arms + 1):
             add_arm(found, source, seed, options)
         error, expected = (float(np.sqrt(np.mean(np.square(each)))) for each in (found.errors, found.expected))
@@ -88,6 +104,7 @@ def report(run: Run) -> list[str]:
         figures = (covered, f"{error:.3f}", f"{expected:.3f}", f"{error / expected:.2f}")
         begun = arms - found.never
         rows.append((words, begun, *figures, found.refused, f"{found.caught} of {begun}"))
+    picture(every, run.out)
     head = ("fit", "arms", "inside 95 %, %", "tip error, mm", "expected, mm", "ratio", "refused", "slip caught")
     return [
         "# Is an earlier result a good prior?",
@@ -99,6 +116,8 @@ def report(run: Run) -> list[str]:
         "anything loosened that were refused, as all should be. Arms whose first calibration was refused are left out.",
         "",
         *reporting.table(head, rows),
+        "",
+        "![What the tip errs by against what was expected](expected.png)",
     ]
 
 
