@@ -4,18 +4,17 @@ Operations on parameters alone are done once per call, operations on data alone 
 left for the kernel, lane by lane. A lane is a row of samples, or one of many states. NumPy and C give CasADi's own
 answer for any number. An operation that has no form in C keeps a graph on blocks, where CasADi's machine does it.
 
-CasADi's derivatives are exact but know no trigonometric identity and no difference between parameters and data. The
-rules here do: each operation stands once, in its cheapest form, and each rule keeps the value to rounding.
+CasADi's derivatives are exact but know no difference between parameters and data. The rules here do: a sine of a sum of
+both is split, so that those of data alone are done once for all calls. Each rule keeps the value to rounding.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
-from itertools import product
-from typing import Any, Literal, NamedTuple, TypeAlias
+from functools import cached_property
+from typing import Any, Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -31,15 +30,6 @@ TRIGONOMETRIC = (ca.OP_SIN, ca.OP_COS)
 
 COMMUTATIVE = (ca.OP_ADD, ca.OP_MUL, ca.OP_FMIN, ca.OP_FMAX, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_HYPOT)
 
-FEW = 3  # values that an output may be the sum of, times factors, to be written as that sum
-
-
-class Signed(NamedTuple):
-    """A value and its sign in a sum."""
-
-    sign: int
-    value: int
-
 
 class Builder:
     """Collects operations, each once and in its cheapest form."""
@@ -49,7 +39,6 @@ class Builder:
         self.operations: list[Operation] = []
         self.kinds: list[Kind] = []
         self._known: dict[Operation, int] = {}
-        self._sums: dict[int, dict[int, int]] = {}
 
     def add(self, operation: Operation) -> int:
         """An operation as it is: the value it makes."""
@@ -71,10 +60,6 @@ class Builder:
                 return self._of_sum(op, *parts)
         if op == ca.OP_DIV and self._depends_on_lane(args[0]) and not self._depends_on_lane(args[1]):
             return self.apply(ca.OP_MUL, args[0], self.apply(ca.OP_INV, args[1]))  # one division for all lanes
-        if op in (ca.OP_ADD, ca.OP_SUB):
-            turned = self._slope_of_rotation(op, *args)
-            if turned is not None:
-                return turned
         return self.add(Operation(op, tuple(sorted(args)) if op in COMMUTATIVE else args))
 
     def _kind(self, operation: Operation) -> Kind:
@@ -123,95 +108,8 @@ class Builder:
             return self.apply(ca.OP_ADD, self.apply(ca.OP_MUL, sin_a, cos_b), self.apply(ca.OP_MUL, cos_a, sin_b))
         return self.apply(ca.OP_SUB, self.apply(ca.OP_MUL, cos_a, cos_b), self.apply(ca.OP_MUL, sin_a, sin_b))
 
-    def flat(self, value: int) -> int:
-        """A mixed value as a sum of at most `FEW` others times factors of parameters alone; itself where it is none."""
-        parts = self._linear(value)
-        if value in parts:
-            return value
-        products = [self.apply(ca.OP_MUL, factor, other) for other, factor in parts.items()]
-        return reduce(lambda one, other: self.add(Operation(ca.OP_ADD, tuple(sorted((one, other))))), products)
-
-    def _linear(self, value: int) -> dict[int, int]:
-        """Values, and the factors of parameters alone with which they add up to a value; found once for each."""
-        if value not in self._sums:
-            self._sums[value] = self._taken_apart(value)
-        return self._sums[value]
-
-    def _taken_apart(self, value: int) -> dict[int, int]:
-        operation, itself = self.operations[value], {value: self.constant(1.0)}
-        if self.kinds[value] != "mixed":
-            return itself
-        args = operation.args
-        if operation.op in (ca.OP_NEG, ca.OP_TWICE):
-            parts = {k: self.apply(operation.op, f) for k, f in self._linear(args[0]).items()}
-        elif operation.op == ca.OP_MUL and not all(self._depends_on_lane(arg) for arg in args):
-            inner, factor = args if self._depends_on_lane(args[0]) else (args[1], args[0])
-            parts = {k: self.apply(ca.OP_MUL, factor, f) for k, f in self._linear(inner).items()}
-        elif operation.op in (ca.OP_ADD, ca.OP_SUB) and all(self._depends_on_lane(arg) for arg in args):
-            parts = dict(self._linear(args[0]))
-            for k, f in self._linear(args[1]).items():
-                parts[k] = self.apply(operation.op, parts.get(k, self.constant(0.0)), f)
-        else:  # a shift by parameters alone stays: taken apart, it would cost digits
-            return itself
-        return parts if len(parts) <= FEW else itself
-
     def _depends_on_lane(self, value: int) -> bool:
         return self.kinds[value] in ("lane", "mixed")
-
-    def _slope_of_rotation(self, op: int, one: int, other: int) -> int | None:
-        """c (p a - q b) - s (p b + q a) as p (c a - s b) - q (c b + s a), where what is in brackets is known already.
-
-        The slope by an angle as reverse differentiation finds it, and as a cross product of vectors that the function
-        itself has turned: 3 operations in place of 9. With any signs.
-        """
-        minus = -1 if op == ca.OP_SUB else 1
-        for (c, inner), (s, outer) in product(self._factors(one), self._factors(other)):
-            for (p, a, q, b), (p2, b2, q2, a2) in product(self._products(inner), self._products(outer)):
-                if (p.value, q.value, a, b) != (p2.value, q2.value, a2, b2):
-                    continue
-                first = self._known_sum(p.sign, c, a, minus * p2.sign, s, b)
-                second = self._known_sum(q.sign, c, b, minus * q2.sign, s, a)
-                if first is not None and second is not None:
-                    return self._signed_sum(first, p.value, second, q.value)
-        return None
-
-    def _factors(self, value: int) -> Iterator[tuple[int, int]]:
-        """A product's factors, either way round."""
-        operation = self.operations[value]
-        if operation.op == ca.OP_MUL:
-            yield operation.args[0], operation.args[1]
-            yield operation.args[1], operation.args[0]
-
-    def _products(self, value: int) -> Iterator[tuple[Signed, int, Signed, int]]:
-        """A sum of two products, (p, a, q, b) for every way to write it as +-p a +-q b."""
-        operation = self.operations[value]
-        if operation.op not in (ca.OP_ADD, ca.OP_SUB):
-            return
-        signs = (1, -1 if operation.op == ca.OP_SUB else 1)
-        for (p, a), (q, b) in product(*(self._factors(arg) for arg in operation.args)):
-            yield Signed(signs[0], p), a, Signed(signs[1], q), b
-            yield Signed(signs[1], q), b, Signed(signs[0], p), a
-
-    def _known_sum(self, sign: int, c: int, a: int, other_sign: int, s: int, b: int) -> Signed | None:
-        """sign c a + other_sign s b, if it or its negative is known."""
-        one, other = (self._known.get(Operation(ca.OP_MUL, tuple(sorted(pair)))) for pair in ((c, a), (s, b)))
-        if one is None or other is None:
-            return None
-        if sign == other_sign:
-            known = self._known.get(Operation(ca.OP_ADD, tuple(sorted((one, other)))))
-            return None if known is None else Signed(sign, known)
-        for first, second, found in ((one, other, sign), (other, one, other_sign)):
-            known = self._known.get(Operation(ca.OP_SUB, (first, second)))
-            if known is not None:
-                return Signed(found, known)
-        return None
-
-    def _signed_sum(self, first: Signed, p: int, second: Signed, q: int) -> int:
-        one, other = self.apply(ca.OP_MUL, p, first.value), self.apply(ca.OP_MUL, q, second.value)
-        if first.sign == second.sign:
-            total = self.add(Operation(ca.OP_ADD, tuple(sorted((one, other)))))
-            return total if first.sign > 0 else self.add(Operation(ca.OP_NEG, (total,)))
-        return self.add(Operation(ca.OP_SUB, (one, other) if first.sign > 0 else (other, one)))
 
 
 @dataclass(frozen=True)
@@ -275,47 +173,11 @@ def read_program(function: ca.Function, roles: Sequence[Role], *, ahead: bool = 
     for each in operations:
         given = each.op in (ca.OP_CONST, ca.OP_INPUT)
         made.append(builder.add(each) if given else builder.apply(elementary(each.op), *(made[i] for i in each.args)))
-    outputs = _flattened(builder, [[made[value] for value in result] for result in results])
+    outputs = tuple(tuple(made[value] for value in result) for result in results)
     sizes = [function.numel_in(i) if role == "once" else 0 for i, role in enumerate(roles)]
     starts = tuple(itertools.accumulate(sizes[:-1], initial=0))
-    program = Program(tuple(builder.operations), tuple(builder.kinds), tuple(map(tuple, outputs)), starts, ())
+    program = Program(tuple(builder.operations), tuple(builder.kinds), outputs, starts, ())
     return replace(program, lanes=tuple(program.used("lane")))
-
-
-def _flattened(builder: Builder, outputs: list[list[int]]) -> list[list[int]]:
-    """Outputs that are sums of few values, each times a factor of parameters alone, as such where that saves work."""
-    flat = {value: builder.flat(value) for output in outputs for value in output}
-    chosen = {value: other for value, other in flat.items() if other != value}
-    work = Work(builder.operations, builder.kinds)
-    for value in flat:
-        work.use(chosen.get(value, value))
-    for value, other in list(chosen.items()):
-        least = work.lanes
-        work.use(value)
-        work.use(other, -1)
-        if work.lanes <= least:
-            del chosen[value]
-        else:
-            work.use(other)
-            work.use(value, -1)
-    return [[chosen.get(value, value) for value in output] for output in outputs]
-
-
-class Work:
-    """How many operations must be done lane by lane for some values, as values come and go."""
-
-    def __init__(self, operations: Sequence[Operation], kinds: Sequence[Kind]) -> None:
-        self._operations, self._kinds, self._uses, self.lanes = operations, kinds, [0] * len(operations), 0
-
-    def use(self, root: int, by: int = 1) -> None:
-        """One more use of a value, or one less; what it depends on is done from its first use on."""
-        waiting = [root]
-        while waiting:
-            value = waiting.pop()
-            self._uses[value] += by
-            if self._uses[value] == max(by, 0):  # its first use, or none any more
-                self.lanes += by * (self._kinds[value] == "mixed")
-                waiting += self._operations[value].args
 
 
 def _erf(values: Any) -> Any:
