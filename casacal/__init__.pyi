@@ -10,8 +10,8 @@ from casacal.calibration.saved import SavedCalibration as SavedCalibration
 from casacal.calibration.saved import load as load
 from casacal.changes.change import Change as Change
 from casacal.changes.changed import changed as changed
-from casacal.checks import Finding as Finding
-from casacal.checks import check as check
+from casacal.checks.check import check as check
+from casacal.checks.finding import Finding as Finding
 from casacal.compensation.arm import CalibratedArm as CalibratedArm
 from casacal.compensation.compensate import compensate as compensate
 from casacal.compensation.predict import Prediction as Prediction

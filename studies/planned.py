@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from casacal import BoundProblem, Method, Result, Route, Run, Study, bind, lm, load_problem, plan
-from casacal.planning.choice import pool_of
+from casacal.planning.candidates import pool_of
 from casacal.planning.route import FIT
 from casacal.uncertainty.expectation import expected_accuracy
 from studies.reporting import PROBLEMS, figure, palette, save, script, table

@@ -33,7 +33,7 @@ from casacal.calibration.result_json import calibration_document
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
 from casacal.planning.cures import NO_CURE, cures, extra_samples, outcomes
-from casacal.planning.set_ups import CalibratedCell, offers
+from casacal.planning.offers import CalibratedCell, offers
 from casacal.samples.samples import joined
 from casacal.tables.columns import Labels
 from casacal.uncertainty.expectation import expected_accuracy, planned_accuracy

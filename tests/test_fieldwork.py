@@ -14,7 +14,8 @@ from casacal import Cell, Face, Problem, TrackedPoint, bind, load_problem, plan,
 from casacal.cli.main import main
 from casacal.errors import CasacalError
 from casacal.fieldwork.handouts import approaches, program_text, sheet_page
-from casacal.planning.choice import Clearance, Criterion, exchange, near_face
+from casacal.planning.candidates import Clearance, near_face
+from casacal.planning.choice import Criterion, exchange
 from casacal.planning.plan import touches_for
 from casacal.planning.set_ups import set_ups
 from casacal.robots.links import nodes_of

@@ -16,7 +16,7 @@ from casacal import CasacalError, Session, bind, lm, load_problem, plan
 from casacal.measuring.conversation import ended
 from casacal.measuring.known import LinearRows, error_below, expected_error, spectrum
 from casacal.measuring.touch import Touch, rows_of, slips_of
-from casacal.planning.choice import Clearance
+from casacal.planning.candidates import Clearance
 from casacal.robots.links import nodes_of
 from casacal.uncertainty.expectation import expected_accuracy
 

@@ -15,7 +15,7 @@ from planned_arms import ARMS
 from casacal import CasacalError, Cell, Face, Parameter, Robot, SimulationError, chain, corner, load_problem, plan
 from casacal.cli.main import main
 from casacal.kinematics import translate_x
-from casacal.planning.choice import Clearance
+from casacal.planning.candidates import Clearance
 from casacal.robots.links import above_table
 from casacal.simulation.cell import Disturbances
 from casacal.simulation.touches import default_cell

@@ -14,7 +14,8 @@ from instruments_on_ur5 import PROBLEMS
 from casacal import CasacalError, bind, calibrate, load_problem, simulate
 from casacal.cli.main import main
 from casacal.least_squares.linalg import posterior_covariance
-from casacal.planning.choice import error_of, exchange, pool_of
+from casacal.planning.candidates import pool_of
+from casacal.planning.choice import error_of, exchange
 from casacal.planning.plan import kept_to_verify, plan, plan_text, touches_for
 from casacal.planning.route import AGAIN, CHECK, FIT, read_route, shortest_way
 from casacal.planning.set_ups import SetUp, worth_most

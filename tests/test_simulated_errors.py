@@ -15,7 +15,7 @@ from casacal import Cell, DialOnPlane, Disturbances, Problem, TrackedPoint, bind
 from casacal.binding.noise_scale import SHARED
 from casacal.cli.main import main
 from casacal.errors import SimulationError
-from casacal.simulation.faults import form_error
+from casacal.simulation.cell import form_error
 
 WAVES = {1: 1e-4, 2: 5e-5, 100: 2e-5}
 

@@ -36,8 +36,7 @@ from casacal import (
 from casacal.errors import SimulationError
 from casacal.kinematics import rotate_z, translate_x
 from casacal.simulation.bench import Bench
-from casacal.simulation.cell import flatness_din_876
-from casacal.simulation.faults import form_error
+from casacal.simulation.cell import flatness_din_876, form_error
 from casacal.simulation.touches import default_cell
 
 

@@ -17,7 +17,8 @@ from casacal.calibration.brief import MOST_LINES, best_cure, brief, next_step
 from casacal.calibration.given import Reference
 from casacal.calibration.verdict import verdict_of
 from casacal.calibration.warnings import warnings
-from casacal.checks import Finding, set_aside
+from casacal.checks import set_aside
+from casacal.checks.finding import Finding
 from casacal.checks.set_aside import gross
 from casacal.cli.main import main
 from casacal.least_squares.losses import huber

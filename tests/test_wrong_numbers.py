@@ -21,7 +21,7 @@ from casacal import (
     tool_point,
 )
 from casacal.calibration.verdict import verdict_of
-from casacal.checks import check
+from casacal.checks.check import check
 from casacal.checks.numbers import wrong_number
 
 

@@ -17,8 +17,8 @@ from casacal.calibration.calibrated import Calibrated
 from casacal.calibration.given import RANDOM, Method, Progress, Reference, chosen, estimate, problem_from, samples_from
 from casacal.calibration.motion import tried_corrections
 from casacal.calibration.saved import AsArm
-from casacal.checks import Finding
-from casacal.checks.check import labels_alike
+from casacal.checks.before_fit import labels_alike
+from casacal.checks.finding import Finding
 from casacal.checks.set_aside import gross
 from casacal.compensation.arm import CalibratedArm
 from casacal.discrepancy.kit import BY_LINKS, with_link_kit

@@ -18,10 +18,9 @@ from casacal.calibration.given import Reference
 from casacal.calibration.metrics import Metrics, metrics_of, parts_of
 from casacal.calibration.motion import Motion, Tried, among, used_arm
 from casacal.calibration.sensitivity import Sensitivity, sensitivity
-from casacal.checks import Finding, check
-from casacal.checks.before_fit import outside, repeated, rounded, sign_before_fit
-from casacal.checks.check import labels_alike, not_the_same
-from casacal.checks.numbers import tool_elsewhere_at, wrong_number, wrong_scale
+from casacal.checks.before_fit import labels_alike, outside, repeated, rounded, sign_before_fit
+from casacal.checks.finding import Finding
+from casacal.checks.numbers import not_the_same, tool_elsewhere_at, wrong_number, wrong_scale
 from casacal.errors import CasacalError
 from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance
@@ -257,6 +256,8 @@ class Calibration(Value):
         """
         if self.earlier is not None:
             return ()
+        from casacal.checks.check import check  # sound rows need none of it
+
         found = check(self.bare.problem, self.fit.measured.plain)
         return tuple(each for each in found if each.severity == "error")
 

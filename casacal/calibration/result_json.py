@@ -6,30 +6,23 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.binding.seen import seen
+from casacal.binding.bound_problem import BoundProblem
 from casacal.calibration import result_parts as parts
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.verdict import verdict_of
 from casacal.calibration.warnings import warnings
 from casacal.compensation.result import Verdict
 from casacal.compensation.result_file import sealed
-from casacal.errors import CasacalError
-from casacal.files import MADE, side_by_side, together, write_json, write_text
-from casacal.least_squares.result import Result, Status
+from casacal.files import MADE, together, write_json, write_text
 from casacal.problem.problem_file import ProblemFile
 from casacal.samples.repeats import listing
-from casacal.samples.samples import Measurements, Samples, write_samples
-from casacal.simulation.simulate import Simulation
+from casacal.samples.samples import Measurements
 from casacal.uncertainty.expectation import Box
 from casacal.uncertainty.identifiability import correlated_pairs
-from casacal.version import __version__
 
 if TYPE_CHECKING:
     from casacal.calibration.earlier import EarlierResult
@@ -169,60 +162,3 @@ def _table(rows: Sequence[Mapping[str, Any]], verdict: Verdict) -> str:
         )
         writer.writerow((row["name"], row["unit"], *numbers, row["known_from"]))
     return text.getvalue()
-
-
-def write_simulation(
-    simulation: Simulation, source: ProblemFile, path: Path, kept: tuple[Path, Samples] | None = None
-) -> list[Path]:
-    """Write simulated samples, and the truth as x.truth.json beside x.csv, all or nothing; returns the paths.
-
-    kept: rows of the same simulation that are not for fitting, and the file for them in the same folder.
-    """
-    measured, truth_path = simulation.measured, path.with_suffix(".truth.json")
-    targets = sample_paths(path, source.problem.names)
-    if path.exists() and not path.is_file():
-        raise CasacalError(f"'{path}' is no file, and the truth goes beside it", "Name a file, such as x.csv")
-    comments = [f"simulated by casacal {__version__} for {source.name}, seed {simulation.seed}: not a measurement"]
-    further = [] if kept is None else [kept]
-    with side_by_side([truth_path, *(place for place, _ in further), *targets]) as (answer, *places):
-        for place, (_, rows) in zip(places, further, strict=False):
-            write_samples(place, source.problem.layout(), rows, comments)
-        written = []
-        for i, (place, some) in enumerate(zip(places[len(further) :], measured.sets, strict=True)):
-            write_samples(place, source.problem.layout(i), some, comments)
-            written.append(replace(source.problem.read(place, i), file=str(targets[i])))
-        document = truth_document(simulation, source, bind(source.problem.without_terms, *written), path.parent)
-        document["data"]["file"] = " and ".join(target.name for target in targets)
-        write_json(answer, sealed(document))
-    return [*targets, *(place for place, _ in further), truth_path]
-
-
-def sample_paths(path: Path, names: Sequence[str]) -> list[Path]:
-    """Where the samples of each instrument go: x.csv of an only one, x-dial.csv and so on of several."""
-    return [path] if len(names) == 1 else [path.with_name(f"{path.stem}-{name}{path.suffix}") for name in names]
-
-
-def truth_document(simulation: Simulation, source: ProblemFile, bound: BoundProblem, folder: Path) -> dict[str, Any]:
-    """The truth behind simulated samples, in the shape of result.json, but for a verdict, fitted rows and the seal."""
-    x, samples = simulation.truth(bound), bound.measured
-    truth = Result("truth", bound, x, Status.TRUTH, {}, steps=0, residual_rows=0, jacobian_rows=0)
-    rows = parts.rows_of(bound, x, np.zeros(bound.unknowns), ["simulation"] * bound.unknowns)
-    names = seen(bound, x)[0].names
-    data = {
-        "file": parts.seen_from(folder, samples.file),
-        "sha256": samples.sha256,
-        "samples": len(samples),
-        "heldout": 0,
-    }
-    return {
-        **parts.head_of(source, truth, simulation.seed, bound.backend, folder),
-        "data": data,
-        "cost": truth.cost,
-        "parameters": [{**row, "known_from": "simulation"} for row in rows],
-        **parts.geometry(bound, x),
-        "metrics": None,
-        "identifiability": None,
-        **parts.spreads(np.zeros((len(names), len(names))), names, bound),
-        "reference": None,
-        **parts.closing(truth, {"build": 0.0, "solve": 0.0, "total": 0.0}),
-    }

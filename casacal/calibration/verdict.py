@@ -8,7 +8,7 @@ import numpy as np
 
 from casacal.calibration.calibration import FAR, LACK_OF_FIT, MINIMISERS, Calibration
 from casacal.calibration.warnings import NOISE_BAND, Doubt, doubts, larger_than_any
-from casacal.checks import Finding
+from casacal.checks.finding import Finding
 from casacal.checks.numbers import SCALE, without_its_likes
 from casacal.compensation.result import Verdict
 from casacal.uncertainty.prior_moves import prior_scatter

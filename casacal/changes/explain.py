@@ -28,7 +28,7 @@ from casacal.files import MADE, write_text
 from casacal.least_squares.conditioned import Conditioned
 from casacal.least_squares.gaussian import Gaussian
 from casacal.least_squares.linalg import svd
-from casacal.planning.choice import drawn_touch, pool_of
+from casacal.planning.candidates import drawn_touch, pool_of
 from casacal.planning.route import FIT, postures_text, shortest_way
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Layout, Samples

@@ -11,13 +11,13 @@ from itertools import combinations
 import numpy as np
 
 from casacal.array_types import Array, Rows
-from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.bound_problem import BoundProblem, each_alone
 from casacal.binding.nominal import nominal_sight
 from casacal.checks.finding import Finding, Severity
 from casacal.instruments.description import OVERTRAVEL, Dimension, Probe, readings_within
 from casacal.problem.problem import Problem
 from casacal.samples.repeats import copies_of
-from casacal.samples.samples import WRITTEN, Samples
+from casacal.samples.samples import WRITTEN, Measurements, Samples
 from casacal.tables.text import is_number
 from casacal.unknowns.geometry import fitted_plane
 from casacal.wording import counted, shortened
@@ -217,6 +217,13 @@ def odd_labels(problem: Problem, samples: Samples) -> list[Finding]:
         elif said := _rare(problem, name, counts, column, totals.get(name, counts[name])):
             findings.append(Finding("warning", "rare label", *said, lines))
     return findings
+
+
+def labels_alike(problem: Problem, measured: Measurements) -> tuple[Finding, ...]:
+    """Warnings of labels that may be slips of others, such as Floor beside floor."""
+    alone = each_alone(problem, measured.sets)
+    found = (finding for each in alone for finding in odd_labels(each.problem, each.samples))
+    return tuple(finding for finding in found if finding.about == LABELS_ALIKE)
 
 
 def _rare(problem: Problem, name: str, counts: dict[str, int], column: str, total: int) -> tuple[str, str] | None:

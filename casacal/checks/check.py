@@ -11,7 +11,6 @@ import numpy as np
 from casacal.array_types import Array, Index
 from casacal.binding.bound_problem import BoundProblem, bind, each_alone
 from casacal.checks.before_fit import (
-    LABELS_ALIKE,
     NO_LENGTH,
     OUTSIDE,
     WRONG_SIGN,
@@ -27,21 +26,26 @@ from casacal.checks.before_fit import (
     upside_down,
 )
 from casacal.checks.faults import ALIKE, EXPLAINED, SUSPICIOUS, MisfitCause, explained, flips
-from casacal.checks.finding import Finding, freed_of_unknowns, misfit, quick_fit, weighted
-from casacal.checks.numbers import tool_elsewhere_at, tool_keys, without_its_likes, wrong_number, wrong_scale
+from casacal.checks.finding import Finding, misfit, quick_fit
+from casacal.checks.numbers import (
+    not_the_same,
+    tool_elsewhere_at,
+    tool_keys,
+    without_its_likes,
+    wrong_number,
+    wrong_scale,
+)
 from casacal.checks.set_aside import off_their_face, robust_fit, single_rows, studentised_outliers
 from casacal.errors import CasacalError, came
 from casacal.estimators import lm
-from casacal.least_squares.linalg import svd
-from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
 from casacal.samples.repeats import without_copies
 from casacal.samples.samples import Measurements, Samples
 from casacal.uncertainty.discrepancy import dial_errors, effect_sizes_of, with_effects
-from casacal.uncertainty.figures import chance_beyond, noise_interval
+from casacal.uncertainty.figures import noise_interval
 from casacal.uncertainty.noise import found_noise
 from casacal.uncertainty.prior_moves import prior_scatter
-from casacal.wording import listed, mm, sized, times
+from casacal.wording import listed, sized, times
 
 COUNTED = "Calibrate anyway: the kit of effects accounts for this"
 
@@ -94,7 +98,6 @@ APART = 1.5
 """Times the misfit of the instrument that fits worst alone, beyond which all together contradict one another."""
 
 BY_CHANCE = 1e-4  # chance of a difference, and more, of what is one and the same
-DULL = 1e-3  # whitened effect of a difference as large as the prior's, below which rows do not see it
 
 
 def contradictions(bound: BoundProblem, measured: Measurements) -> list[Finding]:
@@ -118,40 +121,6 @@ def contradictions(bound: BoundProblem, measured: Measurements) -> list[Finding]
         "same; too small a stated noise of one instrument can also be the cause"
     )
     return [Finding("error", "instruments contradict each other", cause, fix)]
-
-
-def not_the_same(bound: BoundProblem, result: Result) -> list[Finding]:
-    """An error for what is declared as shared and differs between instruments, at the estimate of all their rows.
-
-    An instrument that had one of its own would see it by the derivative of its own rows. The fall of chi-square by such
-    a difference, all unknowns following within their priors, has as many degrees of freedom as directions show.
-    """
-    owners = np.searchsorted(np.cumsum([len(some) for some in bound.samples]), bound.sample_of, side="right")
-    found = []
-    for key, names in bound.problem.shared.items():
-        slots = [slot for slot in bound.slots if slot.key == key and slot.unknown.size]
-        columns = np.array([j for slot in slots for j in slot.columns], dtype=np.intp)
-        if not columns.size or not result.converged:
-            continue
-        scale, slopes = bound.start_std[columns], bound.jacobian(result.x)[:, columns]
-        own = [np.where(owners == bound.problem.number(name), 1.0, 0.0)[:, None] * slopes * scale for name in names[1:]]
-        left, sizes, along = svd(freed_of_unknowns(bound, result, np.hstack(own)))
-        seen = sizes > DULL
-        gains = left[:, seen].T @ weighted(bound, result, bound.residual(result.x))
-        if not seen.any() or chance_beyond(float(gains @ gains), float(seen.sum())) > BY_CHANCE:
-            continue
-        apart = (-(along[seen].T @ (gains / sizes[seen]))).reshape(len(names) - 1, -1) * scale
-        label = [name for slot in slots for name in slot.unknown.names(slot.name)]
-        far = np.unravel_index(int(np.argmax(np.abs(apart / scale))), apart.shape)
-        by, unit = abs(float(apart[far])), bound.units[columns[far[1]]]
-        cause = (
-            f"'{key}' is declared as the same for {listed(names)}, and is not: {label[far[1]]} of {names[1 + far[0]]} "
-            f"is "
-            f"{mm(by) if unit == 'mm' else sized(by, unit)} away from that of {names[0]}"
-        )
-        fix = f"Measure again with the same for all, or leave '{key}' out of `shared`: then each has its own"
-        found.append(Finding("error", f"{key} not the same", cause, fix))
-    return found
 
 
 MOST_ROWS = 600  # rows used to look for systematic faults; more add time, not insight
@@ -215,13 +184,6 @@ def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, .
     if all(finding.severity != "error" for finding in findings):
         findings += beside_geometry(problem, few)
     return _in_order(findings)
-
-
-def labels_alike(problem: Problem, measured: Measurements) -> tuple[Finding, ...]:
-    """Warnings of labels that may be slips of others, such as Floor beside floor."""
-    alone = each_alone(problem, measured.sets)
-    found = (finding for each in alone for finding in odd_labels(each.problem, each.samples))
-    return tuple(finding for finding in found if finding.about == LABELS_ALIKE)
 
 
 def _with_cause(findings: list[Finding], cause: MisfitCause, bound: BoundProblem, few: Samples) -> list[Finding]:

@@ -12,21 +12,22 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.noise_scale import times
 from casacal.binding.seen import Seen
-from casacal.checks.finding import Fault, Finding, Undone, quick_fit
+from casacal.checks.finding import Fault, Finding, Undone, freed_of_unknowns, quick_fit, weighted
 from casacal.errors import CasacalError
 from casacal.estimators import lm
+from casacal.least_squares.linalg import svd
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.uncertainty.common_scale import common_scale
 from casacal.uncertainty.discrepancy import with_effects
 from casacal.uncertainty.effect_sizes import evidence, told
-from casacal.uncertainty.figures import noise_interval
+from casacal.uncertainty.figures import chance_beyond, noise_interval
 from casacal.uncertainty.noise import found_noise
 from casacal.uncertainty.prior_moves import DULL, chance_of_move
 from casacal.uncertainty.workspace import tip_rms, tip_stds, without_rigid, workspace_joints
 from casacal.unknowns import Parameter
-from casacal.wording import listed
+from casacal.wording import listed, mm, sized
 
 
 def tool_keys(problem: Problem) -> list[str]:
@@ -235,6 +236,43 @@ def wrong_scale(bound: Seen, x: Array, covariance: Array) -> list[Finding]:
         f"may be so wrong ({state}), so that the priors decide how large the arm is"
     )
     return [Finding("error", SCALE, cause, fix)]
+
+
+SEEN = 1e-3  # whitened effect of a difference as large as the prior's, below which rows do not see it
+
+
+def not_the_same(bound: BoundProblem, result: Result) -> list[Finding]:
+    """An error for what is declared as shared and differs between instruments, at the estimate of all their rows.
+
+    An instrument that had one of its own would see it by the derivative of its own rows. The fall of chi-square by such
+    a difference, all unknowns following within their priors, has as many degrees of freedom as directions show.
+    """
+    owners = np.searchsorted(np.cumsum([len(some) for some in bound.samples]), bound.sample_of, side="right")
+    found = []
+    for key, names in bound.problem.shared.items():
+        slots = [slot for slot in bound.slots if slot.key == key and slot.unknown.size]
+        columns = np.array([j for slot in slots for j in slot.columns], dtype=np.intp)
+        if not columns.size or not result.converged:
+            continue
+        scale, slopes = bound.start_std[columns], bound.jacobian(result.x)[:, columns]
+        own = [np.where(owners == bound.problem.number(name), 1.0, 0.0)[:, None] * slopes * scale for name in names[1:]]
+        left, sizes, along = svd(freed_of_unknowns(bound, result, np.hstack(own)))
+        seen = sizes > SEEN
+        gains = left[:, seen].T @ weighted(bound, result, bound.residual(result.x))
+        if not seen.any() or chance_beyond(float(gains @ gains), float(seen.sum())) > BY_CHANCE:
+            continue
+        apart = (-(along[seen].T @ (gains / sizes[seen]))).reshape(len(names) - 1, -1) * scale
+        label = [name for slot in slots for name in slot.unknown.names(slot.name)]
+        far = np.unravel_index(int(np.argmax(np.abs(apart / scale))), apart.shape)
+        by, unit = abs(float(apart[far])), bound.units[columns[far[1]]]
+        cause = (
+            f"'{key}' is declared as the same for {listed(names)}, and is not: {label[far[1]]} of {names[1 + far[0]]} "
+            f"is "
+            f"{mm(by) if unit == 'mm' else sized(by, unit)} away from that of {names[0]}"
+        )
+        fix = f"Measure again with the same for all, or leave '{key}' out of `shared`: then each has its own"
+        found.append(Finding("error", f"{key} not the same", cause, fix))
+    return found
 
 
 def without_its_likes(findings: Iterable[Finding]) -> list[Finding]:

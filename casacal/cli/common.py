@@ -14,7 +14,7 @@ from casacal.errors import CasacalError
 if TYPE_CHECKING:
     from casacal.array_types import Array
     from casacal.compensation.arm import CalibratedArm
-    from casacal.planning.choice import Clearance
+    from casacal.planning.candidates import Clearance
     from casacal.problem.problem import Problem
     from casacal.problem.problem_file import ProblemFile
     from casacal.samples.samples import Measurements, Samples
@@ -394,7 +394,7 @@ def add_clearance(parser: argparse.ArgumentParser) -> None:
 
 def clearance_of(options: argparse.Namespace) -> Clearance | None:
     """What was said; None where there is nothing."""
-    from casacal.planning.choice import Clearance
+    from casacal.planning.candidates import Clearance
 
     if not options.keep_out and options.link_radius is None:
         return None

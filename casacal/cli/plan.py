@@ -28,7 +28,7 @@ from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
-    from casacal.planning.choice import Clearance
+    from casacal.planning.candidates import Clearance
     from casacal.planning.plan import Plan
     from casacal.planning.set_ups import SetUp
     from casacal.problem.problem_file import ProblemFile
@@ -140,7 +140,7 @@ def _wrong_with(source: ProblemFile, options: argparse.Namespace) -> list[str]:
 
     Raises CasacalError where more of them does: then they do not tell the arm, and no figure that rests on it is true.
     """
-    from casacal.checks import check
+    from casacal.checks.check import check
 
     after = options.after
     found = [] if after is None else check(source.problem, source.problem.read(after))

@@ -19,7 +19,7 @@ from casacal.binding.nominal import nominal_tips
 from casacal.compensation.programs import KRL, RAPID, URSCRIPT, Language, in_comments, printable
 from casacal.errors import CasacalError, ProblemError, refuse_unknown
 from casacal.pages.drawing import rendered, tag, together
-from casacal.planning.choice import Clearance, cell_of, drawn_touch
+from casacal.planning.candidates import Clearance, cell_of, drawn_touch
 from casacal.planning.route import Route, joints_shown
 from casacal.problem.problem import Problem
 from casacal.robots.links import above_table, nodes_of

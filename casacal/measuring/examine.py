@@ -32,7 +32,7 @@ from casacal.measuring.known import (
     telling,
 )
 from casacal.measuring.touch import Slip, Touch, rows_of
-from casacal.planning.choice import Clearance, pool_of
+from casacal.planning.candidates import Clearance, pool_of
 from casacal.planning.route import CHECK
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples

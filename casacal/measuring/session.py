@@ -22,7 +22,8 @@ from casacal.measuring.known import (
     spectrum,
 )
 from casacal.measuring.touch import Slip, Touch, columns_of, joints_of, labels_of, rows_of, slips_of
-from casacal.planning.choice import Clearance, refuse_several, wanted_field, wanted_joints
+from casacal.planning.candidates import Clearance, refuse_several
+from casacal.planning.choice import wanted_field, wanted_joints
 from casacal.planning.route import CHECK, FIT, Route
 from casacal.problem.problem import Problem
 from casacal.simulation.cell import Disturbances

@@ -21,12 +21,11 @@ from casacal.binding.slots import Slot, make_slots
 from casacal.errors import CasacalError
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.planning.choice import Choice
-from casacal.planning.set_ups import EXTRA_TOUCHES, CalibratedCell, Offer, more_samples, offers
+from casacal.planning.offers import EXTRA_TOUCHES, CalibratedCell, Offer, more_samples, offers
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.simulation.bench import bench_of
+from casacal.simulation.bench import bench_of, exact_rows
 from casacal.simulation.cell import Cell, Disturbances
-from casacal.simulation.simulate import exact_rows
 from casacal.simulation.touches import Draw
 from casacal.uncertainty.discrepancy import MANY
 from casacal.uncertainty.identifiability import NullDirection, WeakDirection, prior_scale

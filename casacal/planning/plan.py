@@ -19,17 +19,8 @@ from casacal.binding.slots import instances, make_slots
 from casacal.errors import CasacalError, came, refuse_unknown
 from casacal.files import write_text
 from casacal.instruments.description import readings_within
-from casacal.planning.choice import (
-    Choice,
-    Clearance,
-    Criterion,
-    cell_of,
-    drawn_touch,
-    pool_of,
-    refuse_several,
-    seldom,
-    wanted_joints,
-)
+from casacal.planning.candidates import Clearance, cell_of, drawn_touch, pool_of, refuse_several
+from casacal.planning.choice import Choice, Criterion, seldom, wanted_joints
 from casacal.planning.route import AGAIN, CHECK, FIT, Route, postures_text, shortest_way, touches_needed
 from casacal.planning.set_ups import POOL, SetUp, worth_most
 from casacal.problem.problem import Problem

@@ -16,8 +16,7 @@ from casacal.kinematics import stacked_poses
 from casacal.problem.problem import Problem
 from casacal.robots.links import above_table
 from casacal.robots.robot import random_joints
-from casacal.simulation.cell import OF_TOUCHES, Cell, Disturbances, Face, corner, triple
-from casacal.simulation.faults import levels
+from casacal.simulation.cell import OF_TOUCHES, Cell, Disturbances, Face, corner, levels, triple
 from casacal.simulation.reach import TouchingArm
 from casacal.tables.columns import Labels
 from casacal.unknowns import Unknown
