@@ -300,9 +300,8 @@ def _locked(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise CasacalError(
-                f"Another run is writing into '{folder}'", "Wait until it is done, or name another folder"
-            ) from None
+            fix = "Wait until it is done, or name another folder"
+            raise CasacalError(f"Another run is writing into '{folder}'", fix) from None
         except OSError:  # a file system without locks
             pass
         yield

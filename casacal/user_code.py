@@ -132,10 +132,8 @@ def _instance(path: str, text: str, name: str, state: dict[str, Any]) -> Any:
     try:
         cls = _class_from(path, text, name)
     except Exception as error:  # a user's file may raise anything
-        raise CasacalError(
-            f"{path}, which defines {name}, does not run here: {said(error)}",
-            "Put what it needs beside it, or the class into a module that can be imported in both places",
-        ) from error
+        fix = "Put what it needs beside it, or the class into a module that can be imported in both places"
+        raise CasacalError(f"{path}, which defines {name}, does not run here: {said(error)}", fix) from error
     made: Any = object.__new__(cls)
     for key, item in state.items():
         object.__setattr__(made, key, item)

@@ -13,7 +13,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError, came
-from casacal.instruments.description import Dimension, ResidualBlock, Sight, Suspect, Words, units_mistaken
+from casacal.instruments.description import COORDINATE, Dimension, ResidualBlock, Sight, Suspect, Words, units_mistaken
 from casacal.instruments.instrument import Instrument
 from casacal.kinematics import (
     Expression,
@@ -98,11 +98,9 @@ class Orientation:
 
         told = np.column_stack([columns[name] for name in self.columns])
         if self.name == "quaternion":
-            if (lost := int((np.abs(told).max(axis=1) < NO_TURN).sum())) > 0:
-                rows = "1 row holds" if lost == 1 else f"{lost} rows hold"
-                raise ProblemError(
-                    f"{rows} a quaternion of zeros, as devices write that have lost the body", "Remove those rows"
-                )
+            if lost := int((np.abs(told).max(axis=1) < NO_TURN).sum()):
+                what = f"{'1 row holds' if lost == 1 else f'{lost} rows hold'} a quaternion of zeros, as devices write"
+                raise ProblemError(f"{what} that have lost the body", "Remove those rows")
             return told
         vector = self.name == "rotation vector"
         found = Rotation.from_rotvec(told) if vector else Rotation.from_euler(self.name, told)
@@ -176,14 +174,7 @@ class TrackedPose(Instrument):
     body: Frame = Frame()
     station: Frame = Frame()
 
-    words = Words(
-        "residual of each coordinate",
-        "mm",
-        "poses",
-        "body and station fitted alone",
-        "the scale of the poses",
-        accuracy=True,
-    )
+    words = Words(COORDINATE, "mm", "poses", "body and station fitted alone", "the scale of the poses", accuracy=True)
 
     def __post_init__(self) -> None:
         for name in ("position_std", "angle_std"):
@@ -194,10 +185,8 @@ class TrackedPose(Instrument):
         taken = {*POSITION, *self.written.columns}
         for name in named:
             if not name.isidentifier() or name in taken or named.count(name) > 1:
-                raise ProblemError(
-                    f"The noise of TrackedPose is declared to be in the column '{name}'",
-                    "Name a column of its own for each, such as 'position_std' and 'angle_std'",
-                )
+                fix = "Name a column of its own for each, such as 'position_std' and 'angle_std'"
+                raise ProblemError(f"The noise of TrackedPose is declared to be in the column '{name}'", fix)
 
     @property
     def written(self) -> Orientation:
@@ -255,10 +244,8 @@ class TrackedPose(Instrument):
         places = np.column_stack([sight.columns[name] for name in POSITION])
         found = hand_eye(turns, sight.poses[:, :3, 3], read, places)
         if found is None:
-            raise ProblemError(
-                "The postures of TrackedPose turn the flange about one axis only, or hardly",
-                "Take three poses or more that turn it about two axes, by some degrees at least",
-            )
+            fix = "Take three poses or more that turn it about two axes, by some degrees at least"
+            raise ProblemError("The postures of TrackedPose turn the flange about one axis only, or hardly", fix)
         return Frame.encode(found[0 if key == "body" else 1])
 
     def stands(self, key: str, near: Array, normal: Array) -> Array:

@@ -393,10 +393,8 @@ def _shared_by(shared: Any, instruments: Mapping[str, Instrument]) -> Shared:
                 raise ProblemError(f"'{name}' has no unknown '{key}' to share", f"It has: {have}")
         first, *others = (instruments[name].unknowns[key] for name in names)
         if any(other != first for other in others):
-            raise ProblemError(
-                f"'{key}' is declared in different ways by {' and '.join(names)}, which share it",
-                "Declare it once, and give the same to each",
-            )
+            what = f"'{key}' is declared in different ways by {' and '.join(names)}, which share it"
+            raise ProblemError(what, "Declare it once, and give the same to each")
         found[str(key)] = tuple(names)
     return FrozenMapping(found)
 
@@ -405,9 +403,7 @@ def _with_std(name: str, std: float, unknown: Unknown, meant: list[bool]) -> Unk
     """An unknown with another prior standard deviation of the components that a name means."""
     units = sorted({unit for unit, hit in zip(unknown.units, meant, strict=True) if hit})
     if len(units) > 1:
-        raise ProblemError(
-            f"'{name}' has components in {' and '.join(units)}, so one standard deviation does not fit all",
-            f"Name a component: {', '.join(unknown.names(name))}",
-        )
+        what = f"'{name}' has components in {' and '.join(units)}, so one standard deviation does not fit all"
+        raise ProblemError(what, f"Name a component: {', '.join(unknown.names(name))}")
     pairs = zip(unknown.prior_stds, meant, strict=True)
     return unknown.with_prior([std if hit else float(before) for before, hit in pairs])

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from casacal.errors import ProblemError
-from casacal.problem.compile import RowModel, compile_rows, residual_noise, row_function
+from casacal.problem.compile import RowModel, compile_rows, row_function
 from casacal.problem.term import Term
 from casacal.problem.trace import Trace
 from casacal.values import FrozenMapping, alike, short
@@ -46,11 +46,6 @@ class Symbols(Trace):
         return tuple(unit for unknown in self.unknowns.values() for unit in unknown.units)
 
     @cached_property
-    def noise(self) -> ca.SX:
-        """Standard deviation w (m) of e: errors of joints and columns carried by its slope, beside its own."""
-        return residual_noise(self)
-
-    @cached_property
     def functions(self) -> Mapping[str, ca.Function]:
         """Compiled functions of one row, (z, c, d) -> residual, jacobian, noise, tip, pose: each by its name."""
         outputs = {name: getattr(self, name) for name in ("residual", "jacobian", "noise", "tip", "pose")}
@@ -68,10 +63,8 @@ class Symbols(Trace):
         free, built = self.free
         for name in (*free, *self.columns):
             if name == "q" or not ca.Function.check_name(name):
-                raise ProblemError(
-                    f"'{name}' cannot name an input of a CasADi function",
-                    "Rename it: letters, digits and single _, and not q, null, jac or hess",
-                )
+                fix = "Rename it: letters, digits and single _, and not q, null, jac or hess"
+                raise ProblemError(f"'{name}' cannot name an input of a CasADi function", fix)
         robot = {key: free[key] for key in self.robot.parameters}
         row = {"q": self.q, **self.columns}
         beside = {k: symbol for k, symbol in {**free, **row}.items() if k not in robot and k != "q"}
@@ -93,9 +86,8 @@ class Symbols(Trace):
         """
         prefix = re.sub(r"\W+", "_", self.robot.name, flags=re.ASCII).strip("_").lower() if prefix is None else prefix
         if not re.fullmatch(r"[A-Za-z]([A-Za-z0-9]|_(?!_))*", prefix):
-            raise ProblemError(
-                f"'{prefix}' cannot begin the name of a C function", "Give a prefix of letters, digits and single _"
-            )
+            what = f"'{prefix}' cannot begin the name of a C function"
+            raise ProblemError(what, "Give a prefix of letters, digits and single _")
         generator, wrappers, told = ca.CodeGenerator(f"{prefix}_code", {"with_header": False}), "", ""
         for part in _parts(self):
             made = {name: ca.densify(ca.vec(matrix)) for name, matrix in part.outputs.items()}
@@ -193,7 +185,7 @@ def _parts(traced: Trace) -> list[_CFunction]:
         ),
         _CFunction("residual", p | q | row, {"residual": built.residual}, "the residual e of one row"),
         _CFunction("jacobian", zc | q | row, slopes, "e and its derivative by z, row by row"),
-        _CFunction("noise", zc | q | row, {"noise": residual_noise(traced)}, "standard deviation of e"),
+        _CFunction("noise", zc | q | row, {"noise": traced.noise}, "standard deviation of e"),
     ]
 
 

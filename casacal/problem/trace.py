@@ -47,16 +47,21 @@ class Trace(Value):
     terms: tuple[Term, ...] = ()
 
     @cached_property
+    def site(self) -> Site:
+        """Where its terms stand."""
+        return Site(self.robot, self.instrument)
+
+    @cached_property
     def acting(self) -> tuple[Term, ...]:
         """Those of the terms that mean something to this robot and instrument."""
-        return tuple(term for term in self.terms if term.unknowns(Site(self.robot, self.instrument)))
+        return tuple(term for term in self.terms if term.unknowns(self.site))
 
     @cached_property
     def unknowns(self) -> Mapping[str, Unknown]:
         """Of the robot, then of the instrument, then of the terms."""
         found: dict[str, Unknown] = {**self.robot.parameters, **self.instrument.unknowns}
         for term in self.acting:
-            found |= term.unknowns(Site(self.robot, self.instrument))
+            found |= term.unknowns(self.site)
         return FrozenMapping(found)
 
     @cached_property
@@ -98,7 +103,7 @@ class Trace(Value):
     @cached_property
     def columns(self) -> Mapping[str, ca.SX]:
         """The row's columns by name: those that are read, those known from labels, those that terms ask for."""
-        beside = (name for term in self.acting for name in term.columns(Site(self.robot, self.instrument)))
+        beside = (name for term in self.acting for name in term.columns(self.site))
         names = dict.fromkeys((*self.instrument.columns, *self.instrument.known_columns, *beside))
         return FrozenMapping({name: ca.SX.sym(name) for name in names})
 
@@ -131,10 +136,8 @@ class Trace(Value):
             residual += _in_its_unit(instrument, residual, found, term.words)
         read = list(instrument.columns)
         if read and not any(ca.depends_on(ca.SX(residual), columns[name]) for name in read):
-            raise ProblemError(
-                f"The residual of {kind} does not depend on what it reads, its column '{read[0]}'",
-                f"Use {', '.join(f'row.{name}' for name in read)}, or declare no columns",
-            )
+            what = f"The residual of {kind} does not depend on what it reads, its column '{read[0]}'"
+            raise ProblemError(what, f"Use {', '.join(f'row.{name}' for name in read)}, or declare no columns")
         tip = traced(instrument.tip, "tip", kind, (3, 1), pose, p, row)
         plunger = traced(instrument.plunger_direction, "plunger_direction", kind, (3, 1), pose, p, optional=True)
         return RowExpressions(pose, tip, residual, ca.SX(plunger) if plunger.numel() else None)
@@ -163,8 +166,42 @@ class Trace(Value):
     def raw(self) -> tuple[ca.SX, ca.SX]:
         """Raw coordinates v, which only the IPOPT reference uses, and the residual (m) at them."""
         raw = {key: ca.SX.sym(key, unknown.raw_size) for key, unknown in self.unknowns.items()}
-        p = {key: unknown.raw_value(self.nominals[key], raw[key]) for key, unknown in self.unknowns.items()}
-        return ca.vertcat(*raw.values()), self.at(p).residual
+        free = {key: unknown for key, unknown in self.unknowns.items() if unknown.size}
+        values = {key: unknown.raw_value(self.nominals[key], raw[key]) for key, unknown in free.items()}
+        return ca.vertcat(*raw.values()), self.at(vars(self.p) | values).residual
+
+    @cached_property
+    def noise(self) -> ca.SX:
+        """Standard deviation w (m) of e: errors of joints and columns carried by its slope, beside its own."""
+        variance = ca.SX(ca.vertcat(*self._own_variances()))
+        for name, std in self.instrument.column_stds.items():
+            variance += (ca.jacobian(self.residual, self.columns[name]) * std) ** 2
+        for j, joint in enumerate(self.robot.axes):
+            if joint.repeatability_std > 0:
+                variance += (ca.jacobian(self.residual, self.q[j]) * joint.repeatability_std) ** 2
+        return ca.SX(ca.sqrt(variance))
+
+    def _own_variances(self) -> list[ca.SX]:
+        """Variance of each component by itself, as the instrument declares it: a number, or from a column.
+
+        Raises ProblemError where its blocks are not those of its residual.
+        """
+        instrument, components, columns = self.instrument, self.residual.numel(), self.columns
+        if not instrument.blocks:
+            return [ca.SX(instrument.residual_std**2)] * components
+        name, total = type(instrument).__name__, sum(block.size for block in instrument.blocks)
+        if total != components:
+            fix = "Give each component a block"
+            raise ProblemError(f"The blocks of {name} hold {total} residuals, and it has {components}", fix)
+        found = []
+        for block in instrument.blocks:
+            if isinstance(block.std, str) and block.std not in columns:
+                said = f"declared to be in the column '{block.std}', which it does not read"
+                fix = f"Its columns: {', '.join(columns) or 'none'}"
+                raise ProblemError(f"The noise of '{block.name}' of {name} is {said}", fix)
+            std = columns[block.std] if isinstance(block.std, str) else ca.SX(block.std)
+            found += [std**2] * block.size
+        return found
 
     @cached_property
     def free(self) -> tuple[Mapping[str, ca.SX], RowExpressions]:

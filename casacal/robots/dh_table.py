@@ -7,7 +7,8 @@ import math
 import re
 import sys
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -54,12 +55,11 @@ class DHTable:
 
     def __post_init__(self) -> None:
         count = len(self.alpha)
-        if not len(self.a) == len(self.d) == len(self.theta) == len(self.joints) == count:
-            raise ProblemError(
-                f"The DH table of '{self.name}' has {len(self.alpha)} alpha, {len(self.a)} a, {len(self.d)} d, "
-                f"{len(self.theta)} theta for {len(self.joints)} joints",
-                "Give one of each per joint",
-            )
+        sizes = {key: len(getattr(self, key)) for key in ("alpha", "a", "d", "theta")}
+        if {*sizes.values()} != {len(self.joints)}:
+            has = ", ".join(f"{size} {key}" for key, size in sizes.items())
+            what = f"The DH table of '{self.name}' has {has} for {len(self.joints)} joints"
+            raise ProblemError(what, "Give one of each per joint")
         if self.convention not in ("standard", "modified"):
             raise ProblemError(f"The DH convention is '{self.convention}'", "Use 'standard' or 'modified'")
         if not self.beta:
@@ -74,12 +74,10 @@ class DHTable:
             what = f"The DH table of '{self.name}' has {len(self.beta)} beta for {len(rows)} parallel rows"
             raise ProblemError(what, "Give one beta for each row named in parallel")
         for row in rows:
-            if abs(math.sin(self.twist(row))) > math.sin(NEARLY):
-                raise ProblemError(
-                    f"Row {row} of '{self.name}' is declared parallel, but its axis and the next one make "
-                    f"{math.degrees(self.twist(row)):g} degrees",
-                    "Name only rows whose axis is parallel to the next one; rows are counted from 1",
-                )
+            if row not in self.parallel_axes():
+                make = f"its axis and the next one make {math.degrees(self.twist(row)):g} degrees"
+                fix = "Name only rows whose axis is parallel to the next one; rows are counted from 1"
+                raise ProblemError(f"Row {row} of '{self.name}' is declared parallel, but {make}", fix)
 
     def twist(self, row: int) -> float:
         """Nominal angle, rad, between the axis of a row (from 1) and the next one."""
@@ -111,23 +109,19 @@ class DHTable:
     def parameters(self, length_std: Stds, angle_std: Stds, twist_std: Stds) -> dict[str, Unknown]:
         """The unknowns alpha, a, d, theta, and beta where axes are parallel; see `Robot.from_dh`."""
         twist_std = angle_std if twist_std is None else twist_std
+        free = tuple(row not in self.parallel for row in range(1, len(self.d) + 1)) if self.parallel else True
         found: dict[str, Unknown] = {
             "alpha": Parameter(self.alpha, unit="rad", prior_std=twist_std),
             "a": Parameter(self.a, unit="mm", prior_std=length_std),
-            "d": Parameter(self.d, unit="mm", prior_std=length_std),
+            "d": Parameter(self.d, unit="mm", prior_std=length_std, free=free),
             "theta": Parameter(self.theta, unit="rad", prior_std=angle_std),
         }
-        if not self.parallel:
-            return found
-        free = tuple(row not in self.parallel for row in range(1, len(self.d) + 1))
-        found["d"] = Parameter(self.d, unit="mm", prior_std=length_std, free=free)
-        shift = 1 if self.convention == "standard" else 0  # where the twist beside each beta stands
-        beside = None
-        if twist_std is not None:
-            stds = spread(twist_std, len(self.alpha), "twist_std")
-            beside = tuple(float(stds[row - shift]) for row in self.parallel)
-        labels = tuple(str(int(row)) for row in self.parallel)
-        found["beta"] = Parameter(self.beta, unit="rad", prior_std=beside, labels=labels)
+        if self.parallel:
+            shift = 1 if self.convention == "standard" else 0  # where the twist beside each beta stands
+            stds = None if twist_std is None else spread(twist_std, len(self.alpha), "twist_std")
+            beside = None if stds is None else [float(stds[row - shift]) for row in self.parallel]
+            labels = tuple(str(int(row)) for row in self.parallel)
+            found["beta"] = Parameter(self.beta, unit="rad", prior_std=beside, labels=labels)
         return found
 
     def in_other_convention(self) -> DHTable:
@@ -174,12 +168,11 @@ KINDS = {"revolute": "revolute", "r": "revolute", "prismatic": "prismatic", "p":
 
 @dataclass(frozen=True)
 class Fields:
-    """A file's block and rows as read, numbers as numbers; `places` say where each row stands in the file."""
+    """A file's block and rows as read, numbers as numbers; each row with where it stands: "arm.csv, line 3"."""
 
     file: str
     block: Mapping[str, Any]
-    rows: tuple[Row, ...]
-    places: tuple[str, ...]
+    rows: Sequence[tuple[str, Row]]
 
 
 def table_of(fields: Fields) -> DHTable:
@@ -191,13 +184,10 @@ def table_of(fields: Fields) -> DHTable:
         raise ProblemError(f"{fields.file}: the file {came}", fix)
     if not fields.rows:
         raise ProblemError(f"{fields.file}: there is no joint", "Give one row per joint")
-    for row, place in zip(fields.rows, fields.places, strict=True):
-        check_names(row, ROW_FIELDS, f"{fields.file}, {place}")
-    columns = {
-        field: tuple(
-            quantity(row, field, UNITS[field], f"{fields.file}, {place}")
-            for row, place in zip(fields.rows, fields.places, strict=True)
-        )
+    for where, row in fields.rows:
+        check_names(row, ROW_FIELDS, where)
+    columns: dict[str, Any] = {
+        field: tuple(quantity(row, field, UNITS[field], where) for where, row in fields.rows)
         for field in ("alpha", "a", "d", "theta")
     }
     largest = max(abs(value) for key in ("a", "d") for value in columns[key])
@@ -205,21 +195,36 @@ def table_of(fields: Fields) -> DHTable:
         unit = "m" if largest < 5 else "mm"
         fix = f"Name a and d by their unit: a_{unit}, d_{unit}"
         raise ProblemError(f"{fields.file}: the largest length is {largest:g} mm", fix)
-    joints = tuple(joint_of(fields, i) for i in range(len(fields.rows)))
-    parallel, beta = _parallel(fields)
+    joints = tuple(joint_of(row, where, i) for i, (where, row) in enumerate(fields.rows, 1))
+    parallel = tuple(fields.block.get("parallel", ()))
+    beta = dict.fromkeys(parallel, 0.0)
+    for i, (where, row) in enumerate(fields.rows, 1):
+        if any(f"beta_{unit}" in row for unit in ANGLE):
+            given = quantity(row, "beta", ANGLE, where)
+            if given and i not in parallel:
+                fix = "Name it there, if its axis is parallel to the next one"
+                raise ProblemError(f"{where}: row {i} has beta but is not named in parallel", fix)
+            beta[i] = given
     conventions = conventions_of(fields, joints)
-    try:
+    with _located(fields.file):
         return DHTable(
             name=fields.block.get("name") or fields.file.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0],
             joints=joints,
             convention=convention,
             parallel=parallel,
-            beta=beta,
+            beta=tuple(beta[i] for i in parallel),
             conventions=conventions,
-            **columns,  # type: ignore[arg-type]
+            **columns,
         )
+
+
+@contextmanager
+def _located(where: str) -> Iterator[None]:
+    """Put a place before what a ProblemError says."""
+    try:
+        yield
     except ProblemError as error:
-        raise ProblemError(f"{fields.file}: {error.what}", error.fix) from None
+        raise ProblemError(f"{where}: {error.what}", error.fix) from None
 
 
 def conventions_of(fields: Fields, joints: Sequence[Joint]) -> Conventions | None:
@@ -241,16 +246,11 @@ def conventions_of(fields: Fields, joints: Sequence[Joint]) -> Conventions | Non
                 fix = "Give offsets of turning joints in deg or rad, of sliding ones in mm or m; zero for the others"
                 raise ProblemError(what, fix)
             offsets[i] += value * {**ANGLE, **LENGTH}[unit]
-    try:
-        made = Conventions(
-            tuple(int(s) if s in (1, -1) else s for s in signs),
-            tuple(offsets),
-            tuple((int(i), int(j), float(f)) for i, j, f in coupling),
-        )
+    with _located(fields.file):
+        whole = tuple(int(sign) if sign in (1, -1) else sign for sign in signs)
+        made = Conventions(whole, tuple(offsets), tuple((int(i), int(j), float(f)) for i, j, f in coupling))
         made.check_joints(count, "The table")
-    except ProblemError as error:
-        raise ProblemError(f"{fields.file}: {error.what}", error.fix) from None
-    return made
+        return made
 
 
 def quantity(row: Row, field: str, units: Mapping[str, float], where: str) -> float:
@@ -275,11 +275,10 @@ def quantity(row: Row, field: str, units: Mapping[str, float], where: str) -> fl
     return value * units[unit]
 
 
-def joint_of(fields: Fields, i: int) -> Joint:
-    """The joint of row i (from 0), with its limits where the row has them."""
-    row, where = fields.rows[i], f"{fields.file}, {fields.places[i]}"
-    if "joint" in row and row["joint"] != i + 1:
-        raise ProblemError(f"{where}: this is joint {row['joint']:g}", f"Number joints from 1; here {i + 1} is due")
+def joint_of(row: Row, where: str, number: int) -> Joint:
+    """The joint of a row, numbered from 1, with its limits where the row has them."""
+    if row.get("joint", number) != number:
+        raise ProblemError(f"{where}: this is joint {row['joint']:g}", f"Number joints from 1; here {number} is due")
     kind = KINDS.get(str(row.get("kind", "revolute")).lower())
     if kind is None:
         raise ProblemError(f"{where}: the kind is '{row['kind']}'", "Use revolute or prismatic (R, P)")
@@ -292,10 +291,8 @@ def joint_of(fields: Fields, i: int) -> Joint:
         bound = math.pi if kind == "revolute" else 1000.0
         return Joint(kind, -bound, bound)  # type: ignore[arg-type]
     lower, upper = (quantity(row, side, units, where) for side in ("lower", "upper"))
-    try:
+    with _located(where):
         return Joint(kind, lower, upper)  # type: ignore[arg-type]
-    except ProblemError as error:
-        raise ProblemError(f"{where}: {error.what}", error.fix) from None
 
 
 def check_names(names: Row, known: Sequence[str], where: str) -> None:
@@ -310,32 +307,10 @@ def check_names(names: Row, known: Sequence[str], where: str) -> None:
             raise ProblemError(f"{where}: there is no field '{name}'", f"{hint}Known: {', '.join(known)}")
 
 
-def _parallel(fields: Fields) -> tuple[tuple[int, ...], tuple[float, ...]]:
-    """Parallel rows and their beta."""
-    rows = tuple(fields.block.get("parallel", ()))
-    beta = {}
-    for i, (row, place) in enumerate(zip(fields.rows, fields.places, strict=True), 1):
-        if any(f"beta_{unit}" in row for unit in ANGLE):
-            beta[i] = quantity(row, "beta", ANGLE, f"{fields.file}, {place}")
-            if beta[i] and i not in rows:
-                fix = "Name it there, if its axis is parallel to the next one"
-                raise ProblemError(f"{fields.file}, {place}: row {i} has beta but is not named in parallel", fix)
-    return rows, tuple(beta.get(row, 0.0) for row in rows)
-
-
 ENTRY = re.compile(r"\s*#\s*(\w+)\s*:\s*(.*?)\s*")
 COLUMNS = (
-    "joint",
-    "alpha_deg",
-    "a_mm",
-    "d_mm",
-    "theta_deg",
-    "beta_deg",
-    "kind",
-    "lower_deg",
-    "upper_deg",
-    "lower_mm",
-    "upper_mm",
+    *("joint", "alpha_deg", "a_mm", "d_mm", "theta_deg", "beta_deg", "kind"),
+    *("lower_deg", "upper_deg", "lower_mm", "upper_mm"),
 )
 """Of a CSV that is written, as far as the table has them."""
 
@@ -350,13 +325,11 @@ def read_dh_file(path: str | Path) -> DHTable:
 
 def unread_keys(path: str | Path) -> tuple[str, ...]:
     """Keys in comments of a CSV that mean nothing, such as `units` of '# units: m', each once; none in TOML."""
-    found = (
-        ()
-        if is_toml(path)
-        else (ENTRY.fullmatch(line) for line in decode(Path(path).read_bytes(), str(path)).splitlines())
-    )
-    unread = dict.fromkeys(each[1] for each in found if each and each[1] not in BLOCK_FIELDS)
-    return tuple(key for key in unread if key != "casacal")  # what exports say of themselves
+    if is_toml(path):
+        return ()
+    found = map(ENTRY.fullmatch, decode(Path(path).read_bytes(), str(path)).splitlines())
+    known = (*BLOCK_FIELDS, "casacal")  # the latter is what exports say of themselves
+    return tuple(dict.fromkeys(each[1] for each in found if each and each[1] not in known))
 
 
 def dh_file_text(table: DHTable, path: str | Path) -> str:
@@ -397,18 +370,16 @@ def read_csv(path: str | Path) -> Fields:
     except SamplesError as error:
         fix = error.fix.replace("one line per sample", "one line per joint")
         raise ProblemError(error.what, fix) from None
-    rows: list[dict[str, Any]] = []
+    rows: list[tuple[str, Row]] = []
     check_names(dict.fromkeys(table.header), ROW_FIELDS, f"{table.file}, header")  # before their cells are read
     for cells, line in zip(table.rows, table.lines, strict=True):
-        row: dict[str, Any] = {}
+        row, where = dict[str, Any](), f"{table.file}, line {line}"
         for name, cell in zip(table.header, cells, strict=True):
-            if not cell:
-                continue
             text = cell.replace(",", ".") if table.decimal_comma else cell
-            row[name] = text if name in ("kind", "note") else _number(text, f"{table.file}, line {line}, '{name}'")
-        rows.append(row)
-    places = tuple(f"line {line}" for line in table.lines)
-    return Fields(table.file, _block(decode(Path(path).read_bytes(), str(path)), table.file), tuple(rows), places)
+            if text:
+                row[name] = text if name in ("kind", "note") else _number(text, f"{where}, '{name}'")
+        rows.append((where, row))
+    return Fields(table.file, _block(decode(Path(path).read_bytes(), str(path)), table.file), rows)
 
 
 def _block(text: str, file: str) -> dict[str, Any]:
@@ -488,11 +459,12 @@ def read_toml(path: str | Path) -> Fields:
             raise ProblemError(f"{file}: {key} is {value!r}", "Write it as a text between quotes")
         if key in BLOCK_FIELDS[2:]:
             _check_list(key, value, file)
-    for i, joint in enumerate(joints, 1):
+    rows = [(f"{file}, joint {i}", joint) for i, joint in enumerate(joints, 1)]
+    for where, joint in rows:
         for key, value in joint.items():
             if key not in ("kind", "note") and not _is_number(value):
-                raise ProblemError(f"{file}, joint {i}: {key} is {value!r}", "Write a number without quotes")
-    return Fields(file, block, tuple(joints), tuple(f"joint {i}" for i in range(1, len(joints) + 1)))
+                raise ProblemError(f"{where}: {key} is {value!r}", "Write a number without quotes")
+    return Fields(file, block, rows)
 
 
 def _check_list(key: str, value: Any, file: str) -> None:
@@ -500,9 +472,7 @@ def _check_list(key: str, value: Any, file: str) -> None:
     rows = value if key == "coupling" and isinstance(value, list) else [value]
     whole = {"parallel": 99, "signs": 99, "coupling": 2}.get(key, 0)  # how many of the numbers are whole
     for row in rows:
-        good = isinstance(row, list) and all(_is_number(v) for v in row)
-        if good and key == "coupling":
-            good = len(row) == 3
+        good = isinstance(row, list) and all(_is_number(v) for v in row) and (key != "coupling" or len(row) == 3)
         if not good or any(v % 1 for v in row[:whole]):
             kind = "[[3, 2, -1.0]]" if key == "coupling" else "[1, 2]" if whole else "[0.0, 90.0]"
             raise ProblemError(f"{file}: {key} is {value!r}", f"Write it like {kind}")
@@ -528,7 +498,7 @@ def _meant(conventions: Conventions, turns: Sequence[bool]) -> dict[str, list[st
     """What a controller's joints mean, numbers as text by key; `turns` says which joints turn."""
     pairs = list(zip(conventions.offsets, turns, strict=True))
     found = {"signs": [str(sign) for sign in conventions.signs]}
-    found["offsets_deg"] = [degrees(offset) if turn else "0" for offset, turn in pairs]
+    found["offsets_deg"] = [degrees(offset if turn else 0.0) for offset, turn in pairs]
     if not all(turns):
         found["offsets_mm"] = [plain(0.0 if turn else offset) for offset, turn in pairs]
     if conventions.coupling:

@@ -112,10 +112,9 @@ def _placed(links: Links, joints: int) -> Callable[[Array], Array]:
 def is_chain(robot: Robot) -> bool:
     """Whether its joints carry one another in order, so that its links are known."""
     try:
-        Links.of(robot)
+        return bool(Links.of(robot))
     except ProblemError:
         return False
-    return True
 
 
 STILL = 1e-6  # mm; a place whose height changes by less stays where the arm was built
@@ -131,10 +130,8 @@ def above_table(robot: Robot, table: float, radius: float = 0.0) -> Callable[[Ar
         links = Links.of(robot)
     except ProblemError:
         return lambda _, tips: np.asarray(tips[:, 2] >= table - STILL)
-    hung = (
-        links.places.copy()
-    )  # from the flange inwards, so that upright axes in parallel are as high as what they carry
-    for j in reversed(range(len(hung) - 1)):
+    hung = links.places.copy()
+    for j in reversed(range(len(hung) - 1)):  # so that upright axes in parallel are as high as what they carry
         hung[j] = _foot(links.axes[j + 1], links.points[j + 1], hung[j + 1]) if links.turns[j + 1] else hung[j + 1]
     placed = _placed(replace(links, places=hung), len(robot.axes))
     trial = placed(random_joints(robot, 2 * PROOFS, np.random.default_rng(0)))

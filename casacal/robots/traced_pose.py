@@ -48,11 +48,8 @@ class Screws:
     def __post_init__(self) -> None:
         count = len(self.joints)
         if not len(self.axes) == len(self.points) == count:
-            raise ProblemError(
-                f"The screws of '{self.name}' are {len(self.axes)} axes and {len(self.points)} points for {count} "
-                "joints",
-                "Give one of each per joint",
-            )
+            are = f"{len(self.axes)} axes and {len(self.points)} points for {count} joints"
+            raise ProblemError(f"The screws of '{self.name}' are {are}", "Give one of each per joint")
         for what, rows in (("axis", self.axes), ("point", self.points)):
             for i, row in enumerate(rows, 1):
                 if len(row) != 3:
@@ -154,10 +151,8 @@ class TracedPose(Value):
                 what = f"has the last row {pose[3].round(3).tolist()} in place of 0, 0, 0, 1"
             else:
                 continue
-            raise ProblemError(
-                f"The pose of '{owner}' {what}, at the joint values {q.round(3).tolist()}",
-                "Look at the signs of its sines and cosines; casacal.kinematics has matrices that are right",
-            )
+            fix = "Look at the signs of its sines and cosines; casacal.kinematics has matrices that are right"
+            raise ProblemError(f"The pose of '{owner}' {what}, at the joint values {q.round(3).tolist()}", fix)
 
     @cached_property
     def text(self) -> str:
@@ -202,10 +197,8 @@ def traced(
     except (Exception, SystemExit) as error:  # whatever a user's function raises, it is their file that must change
         code = None if str(call.__module__).startswith("casacal.") else getattr(call, "__code__", None)
         place = f"{line_of(Path(code.co_filename), error)}: " if code else ""
-        raise ProblemError(
-            f"{place}{what} of '{owner}' failed with {said(error)}",
-            "It must build CasADi expressions from its arguments; see casacal.kinematics",
-        ) from error
+        fix = "It must build CasADi expressions from its arguments; see casacal.kinematics"
+        raise ProblemError(f"{place}{what} of '{owner}' failed with {said(error)}", fix) from error
     if found != shape and (shape is not None or found[1] != 1):
         wanted = "a scalar or a column" if shape is None else f"{shape}"
         raise ProblemError(f"{what} of '{owner}' has the shape {found}", f"It must be {wanted}")
@@ -247,9 +240,8 @@ def traced_function(
         raise ProblemError(f"The length of a function is in {length!r}", 'Give "m" or "mm"')
     per_mm, first, count = LENGTHS[length], _first(function), joint_count(function)
     if len(joints) != count:
-        raise ProblemError(
-            f"{_said(function)} takes {count} joint values, and {len(joints)} joints came", "Give as many"
-        )
+        what = f"{_said(function)} takes {count} joint values, and {len(joints)} joints came"
+        raise ProblemError(what, "Give as many")
     known = {key: each for key, each in parameters.items() if isinstance(each, Parameter)}
     for key, other in parameters.items():
         if key not in known:

@@ -93,10 +93,8 @@ def check_joint(file: str, joint: UrdfJoint) -> None:
     """Raise ProblemError unless a joint of the chain can be calibrated and its numbers can be metres and radians."""
     where = f"{file}, line {joint.line}: joint '{joint.name}'"
     if joint.mimics is not None:
-        raise ProblemError(
-            f"{where} mimics '{joint.mimics}'",
-            "Choose base and tip so that none does, or write a DH table with its coupling",
-        )
+        fix = "Choose base and tip so that none does, or write a DH table with its coupling"
+        raise ProblemError(f"{where} mimics '{joint.mimics}'", fix)
     if joint.kind not in (*MOVING, "fixed"):
         fix = "Between base and tip there may be revolute, continuous, prismatic and fixed joints"
         raise ProblemError(f"{where} is of type '{joint.kind}'", fix)

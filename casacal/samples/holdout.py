@@ -103,7 +103,6 @@ def _whole(samples: Samples, holdout: float, rng: np.random.Generator, by: str, 
         return np.zeros(len(samples), dtype=bool)
     count = max(1, round(holdout * len(groups.names)))
     if count >= len(groups.names):
-        raise CasacalError(
-            f"Holding out {count} of {len(groups.names)} by '{by}' leaves nothing to fit", "Hold fewer out"
-        )
+        what = f"Holding out {count} of {len(groups.names)} by '{by}' leaves nothing to fit"
+        raise CasacalError(what, "Hold fewer out")
     return np.isin(groups.codes, rng.permutation(len(groups.names))[:count])

@@ -123,9 +123,8 @@ def _fields(path: Path, file: str) -> list[tuple[str, NDArray[Any]]]:
     """Fields of one array, in their order; the memory is that of the file."""
     array = np.lib.format.open_memmap(path, mode="r")
     if array.dtype.names is None:
-        raise SamplesError(
-            file, "the array has no named columns", "Give fields such as q1_deg, or an .npz with one array per column"
-        )
+        fix = "Give fields such as q1_deg, or an .npz with one array per column"
+        raise SamplesError(file, "the array has no named columns", fix)
     _check_size(array, path.stat().st_size - array.offset)
     return [(name, array[name]) for name in array.dtype.names]
 
@@ -197,9 +196,8 @@ def read_workbook(path: str | Path) -> Table:
     try:
         import openpyxl
     except ImportError:
-        raise CasacalError(
-            f"{path} is an Excel workbook, which needs a library", "Install it with pip install openpyxl"
-        ) from None
+        what = f"{path} is an Excel workbook, which needs a library"
+        raise CasacalError(what, "Install it with pip install openpyxl") from None
     file = str(path)
     with readable(file, "this is no readable workbook", "Save it again, or as CSV"):
         check_unpacked(Path(path), file)
@@ -228,9 +226,8 @@ def _first_sheet(book: Any, file: str) -> tuple[str, NumberedRows, NumberedRows]
     """Cells of the first visible sheet as text and those of comments; the file with the sheet's name if it has more."""
     sheets = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"]
     if not sheets:
-        raise SamplesError(
-            file, "the workbook has no visible sheet", "Show the one with the samples, or save it as CSV"
-        )
+        fix = "Show the one with the samples, or save it as CSV"
+        raise SamplesError(file, "the workbook has no visible sheet", fix)
     sheet = sheets[0]
     if len(book.sheetnames) > 1:
         file = f"{file}, sheet '{UNSHOWN.sub('?', sheet.title)[:40]}'"
@@ -247,9 +244,8 @@ def _first_sheet(book: Any, file: str) -> tuple[str, NumberedRows, NumberedRows]
         if len(cells) > width:
             raise SamplesError(file, "a cell has no name in the header", "Name its column", line=number)
         if number in hidden:
-            raise SamplesError(
-                file, "the row is hidden, so that it is not clear whether it counts", "Show or delete it", line=number
-            )
+            what = "the row is hidden, so that it is not clear whether it counts"
+            raise SamplesError(file, what, "Show or delete it", line=number)
         rows.append((number, cells + [""] * (width - len(cells))))
     return file, rows, comments
 
