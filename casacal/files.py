@@ -244,10 +244,7 @@ def _place(folder: Path, place: Path, names: Sequence[str], own: bool) -> None:
 
 
 def _finish(folder: Path) -> None:
-    """Put files that are ready in their places, where a run was ended on the way.
-
-    Only beside their folder, and never over what somebody put there meanwhile: CasacalError says so.
-    """
+    """Put files that are ready in their places, never over what somebody put there meanwhile (CasacalError)."""
     for ready in folder.glob(f"{READY}*"):
         if not (ready / LIST).exists():  # all are placed, and it was being removed
             with suppress(OSError):

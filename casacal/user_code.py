@@ -61,10 +61,7 @@ def line_of(file: Path, error: BaseException) -> str:
 
 @contextmanager
 def _folder_first(folder: Path) -> Iterator[list[str]]:
-    """Let imports find what lies in a folder before anything else; afterwards all is as it was.
-
-    Yields a list that in the end holds the files that were imported from there.
-    """
+    """Let imports find a folder first while the block runs; yields a list of the files imported from there."""
     beside = {entry.stem for entry in folder.glob("*.py")} | {entry.parent.name for entry in folder.glob("*/*.py")}
     beside -= RUNNING
     aside = {name: sys.modules.pop(name) for name in list(sys.modules) if name.split(".")[0] in beside}

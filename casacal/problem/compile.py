@@ -111,10 +111,7 @@ class RowModel:
 
 
 def compile_rows(traced: Trace) -> RowModel:
-    """Compile what was traced of one robot with one instrument.
-
-    Raises ProblemError when `pose` or `residual` depends on something else than joints, columns and unknowns.
-    """
+    """Compile a trace; raises ProblemError where it depends on anything but joints, columns and unknowns."""
     seen, z, e = traced.seen, traced.z, traced.residual
     inputs, (v, raw_residual), origin = [z, traced.c, traced.d], traced.raw, ca.SX(position(seen.pose))
     slope, origin_slope = ca.jacobian(seen.tip, z), ca.jacobian(origin, z)  # J of eqs (3)-(5) of arXiv:2208.02652
@@ -143,10 +140,7 @@ def compile_rows(traced: Trace) -> RowModel:
 
 
 def row_function(name: str, inputs: list[ca.SX], outputs: list[ca.SX], names: list[str] | None = None) -> ca.Function:
-    """A function of dense outputs, common subexpressions once; `names` of its inputs, the output's is its own.
-
-    Raises ProblemError when an output depends on anything but the inputs.
-    """
+    """A function of dense outputs; `names` of its inputs. Raises ProblemError when it depends on anything else."""
     dense = [ca.densify(output) for output in ca.cse(outputs)]
     try:
         return ca.Function(name, inputs, dense, names, [name]) if names else ca.Function(name, inputs, dense)

@@ -241,20 +241,14 @@ class Problem(Value):
         return Samples.from_table(together, layout, absurd=absurd)
 
     def fix(self, *names: str) -> Problem:
-        """Copy with unknowns held at nominal: a key ("alpha") or a component ("a3", "tool_x").
-
-        Raises UnknownNameError for a name that does not exist or is held already.
-        """
+        """Copy with unknowns held at nominal, by key ("alpha") or component ("a3"); UnknownNameError for held ones."""
         changed = self
         for name in names:
             changed = changed._edit(name, lambda unknown, meant: unknown.with_free([not hit for hit in meant]))
         return changed
 
     def free(self, *names: str) -> Problem:
-        """Copy with unknowns estimated that were held: a key ("tool") or a component ("tool_x").
-
-        They keep their priors. Raises UnknownNameError for a name that does not exist.
-        """
+        """Copy with unknowns estimated that were held, with their priors: by key or component; or UnknownNameError."""
         changed = self
         for name in names:
             known = dict(changed._named())

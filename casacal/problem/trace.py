@@ -182,10 +182,7 @@ class Trace(Value):
         return ca.SX(ca.sqrt(variance))
 
     def _own_variances(self) -> list[ca.SX]:
-        """Variance of each component by itself, as the instrument declares it: a number, or from a column.
-
-        Raises ProblemError where its blocks are not those of its residual.
-        """
+        """Variance of each component by itself; raises ProblemError where blocks are not those of the residual."""
         instrument, components, columns = self.instrument, self.residual.numel(), self.columns
         if not instrument.blocks:
             return [ca.SX(instrument.residual_std**2)] * components

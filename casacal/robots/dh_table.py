@@ -316,10 +316,7 @@ COLUMNS = (
 
 
 def read_dh_file(path: str | Path) -> DHTable:
-    """Read a DH table, as TOML when the name ends in .toml, else as CSV.
-
-    Raises ProblemError that names the file, the line or joint, and what to do.
-    """
+    """Read a DH table, as TOML when the name ends in .toml, else as CSV; raises ProblemError that names the place."""
     return table_of(read_toml(path) if is_toml(path) else read_csv(path))
 
 

@@ -181,10 +181,7 @@ class Robot(Value):
     def from_dh_file(
         path: str | Path, *, length_std: Stds = None, angle_std: Stds = None, twist_std: Stds = None
     ) -> Robot:
-        """Robot from a DH table in CSV or TOML; docs/files.md says how the files look.
-
-        Raises ProblemError that names the file, the line or joint, and what to do.
-        """
+        """Robot from a DH table in CSV or TOML, as docs/files.md has them; raises ProblemError that names the place."""
         table = replace(read_dh_file(path), path=str(Path(path).resolve()))
         return Robot(table.name, table.joints, table.pose, table.parameters(length_std, angle_std, twist_std), table)
 
@@ -288,10 +285,7 @@ AXIS_WEIGHT = 300.0  # millimetres at the tip that weigh as much as one radian o
 
 
 def joint_values(q: Any, robot: Robot) -> Array:
-    """Joint values (N, n; rad, mm) of an arm from numbers, one row (n,) or several (N, n).
-
-    Raises CasacalError for anything else.
-    """
+    """Joint values (N, n; rad, mm) of an arm from one row (n,) or several (N, n); raises CasacalError for others."""
     wanted = f"Give {len(robot.axes)} numbers per row, in rad (sliding joints in mm)"
     try:
         values = np.array(q, dtype=np.float64)

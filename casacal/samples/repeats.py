@@ -49,10 +49,7 @@ def repeats_in(measured: Measurements, groups: Sequence[str | None]) -> Repeats:
 
 
 def copies_of(samples: Samples) -> Rows:
-    """Which rows (N,) hold the same joints, columns and labels as an earlier one, to the last digit.
-
-    A touch whose purpose is "again", which a plan asks for once more, is no copy of the first.
-    """
+    """Which rows (N,) equal an earlier one to the last digit; a touch whose purpose is "again" is no copy."""
     numbers = [np.asarray(values) + 0.0 for values in (*samples.joints.T, *samples.columns.values())]  # no -0.0
     codes = [labels.codes for labels in samples.labels.values()]
     if "purpose" in samples.extra:

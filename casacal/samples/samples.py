@@ -130,10 +130,7 @@ def match_columns(table: Columns, layout: Layout) -> dict[str, tuple[str, float]
 
 
 def read_further(table: Columns, layout: Layout) -> dict[str, Array]:
-    """Numbers (N,) of those of the layout's further columns that there are, read-only.
-
-    Raises SamplesError where one is absent and another is nearly called so, and for a cell that is no number.
-    """
+    """Further columns (N,) that there are; SamplesError for one nearly called so, and a cell that is no number."""
     taken = _taken(layout)
     for name in layout.further:
         alike = None if name in table.header else _nearly((name,), table.header, taken)
@@ -255,12 +252,9 @@ class Samples(Value):
     def from_file(path: str | Path, layout: Layout, *, absurd: bool = False) -> Samples:
         """Read a samples file: .npy with named fields, .npz with one array per column, .xlsx, or else delimited text.
 
-        `absurd` lets values pass that no robot has, for those who look for their cause.
-
-        Raises SamplesError that names file, line, column, what is wrong and the fix.
+        absurd: whether values pass that no robot has. Raises SamplesError that names file, line, column and the fix.
         """
-        columns = read_columns(path)
-        return Samples.from_columns(columns, layout, absurd=absurd)
+        return Samples.from_columns(read_columns(path), layout, absurd=absurd)
 
     @staticmethod
     def from_csv(path: str | Path, layout: Layout, *, absurd: bool = False) -> Samples:
@@ -414,10 +408,7 @@ def samples_text(
 
 @dataclass(frozen=True, eq=False)
 class Measurements(Value):
-    """Samples of each instrument; rows are numbered through all of them, in the order of the instruments.
-
-    names: of the instruments; empty for an only one.
-    """
+    """Samples by name of instrument, empty for an only one; rows are numbered through all of them in this order."""
 
     names: tuple[str, ...]
     sets: tuple[Samples, ...]

@@ -81,10 +81,7 @@ def digest_of(arrays: Mapping[str, NDArray[Any]]) -> str:
 
 
 def read_arrays(path: Path) -> Columns:
-    """Columns of a .npy file with named fields, mapped into memory, or of an .npz file with one array per column.
-
-    Raises SamplesError for anything else.
-    """
+    """Columns of a .npy file with named fields, mapped into memory, or an .npz with an array each; or SamplesError."""
     file = str(path)
     what = "this is not an array file of NumPy without Python objects, or it is damaged"
     with readable(file, what, "Write it with numpy.save or numpy.savez"):
@@ -149,10 +146,7 @@ def _check_size(array: NDArray[Any], size: int) -> None:
 
 
 def check_unpacked(path: Path, file: str) -> None:
-    """Raise SamplesError for an archive with too many members, or that unpacks to too much.
-
-    Raises zipfile.BadZipFile, OSError or the like for what is no archive.
-    """
+    """Raise SamplesError for an archive of too many members, or too much in them; zipfile.BadZipFile for none."""
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
     size, most = sum(member.file_size for member in members), max(UNPACKED, GROWTH * path.stat().st_size)
@@ -275,10 +269,7 @@ def _filled(sheet: Any, file: str) -> Iterator[tuple[int, list[str]]]:
         if places > MOST_PLACES:
             what = f"the sheet spans more than {MOST_PLACES:,} cells, most of them empty"
             raise SamplesError(file, what, "Delete the columns beside the samples, or save them as CSV", line=number)
-        width = len(row)
-        while width and row[width - 1] is None:
-            width -= 1
-        cells = [_text(cell) for cell in row[:width]]
+        cells = [_text(cell) for cell in row]
         while cells and not cells[-1]:
             cells.pop()
         if cells:
@@ -302,10 +293,7 @@ def read_columns(path: str | Path) -> Columns:
     """
     path = Path(path)
     recover(path.parent)
-    kind = path.suffix.lower()
-    if kind in ARRAYS:
-        return read_arrays(path)
-    return read_workbook(path).columns if kind in WORKBOOKS else read_table(path).columns
+    return read_arrays(path) if path.suffix.lower() in ARRAYS else read_any_table(path).columns
 
 
 def read_any_table(path: str | Path) -> Table:
@@ -319,10 +307,7 @@ def is_frame(value: Any) -> bool:
 
 
 def columns_of_frame(frame: Any, numbers: Sequence[str], labels: Sequence[str], source: str = "DataFrame") -> Columns:
-    """Columns of a frame: straight from its arrays where the named columns hold numbers, else cell by cell.
-
-    "line" is the row of the frame, counted from 1.
-    """
+    """Columns of a frame: its arrays where the named columns hold numbers, else cell by cell; "line" is its row."""
     header = tuple(str(name) for name in frame.columns)
     if numbers and len(set(header)) == len(header) and all(frame[name].dtype.kind in "iuf" for name in numbers):
         used = {name: frame[name].to_numpy() for name in numbers}

@@ -359,10 +359,7 @@ class Frame(Whole):
 
     @staticmethod
     def encode(matrix: Array) -> Array:
-        """Numbers (12,) that fix a nominal frame.
-
-        Raises ProblemError when the matrix is not a rigid transform.
-        """
+        """Numbers (12,) that fix a nominal frame; raises ProblemError when the matrix is not a rigid transform."""
         good = matrix.shape == (4, 4) and np.isfinite(matrix).all()
         if not good or not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-6):
             raise ProblemError("A frame is not a rigid 4x4 transform", "Give a rotation matrix and a translation in mm")

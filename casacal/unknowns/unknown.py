@@ -101,19 +101,13 @@ class Unknown(ABC):
         return matrix
 
     def shown(self, nominal: Array, local: Array) -> tuple[str, Any]:
-        """What result.json says of it at local coordinates (size,): under which heading, and the numbers.
-
-        No heading for numbers, which stand among the parameters.
-        """
+        """Heading in result.json and numbers at local coordinates (size,); no heading for parameters."""
         del nominal, local
         return "", None
 
     @abstractmethod
     def placed(self, near: Array, normal: Array) -> Array:
-        """Numbers of a nominal for a simulated thing whose place is not stated.
-
-        Near a point (3, mm); where it is flat, it looks along `normal` (3).
-        """
+        """Numbers of a simulated nominal near a point (3, mm); where it is flat, it looks along `normal` (3)."""
 
     def recentred(self, nominal: Array, local: Array) -> Array:
         """Numbers of a nominal where local coordinates (size,) lead from one; as it was where a kind does not say."""
@@ -157,10 +151,7 @@ class Unknown(ABC):
 
 
 def spread(values: float | Sequence[float], count: int, what: str) -> Array:
-    """One number for all, or one each: an array (count,).
-
-    Raises ProblemError when the number of values fits neither.
-    """
+    """One number for all, or one each: an array (count,); raises ProblemError when their number fits neither."""
     array = np.asarray(values, dtype=np.float64)
     if array.ndim == 0:
         return np.full(count, float(array))
