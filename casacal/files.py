@@ -175,13 +175,7 @@ PREFIX = ".casacal-"
 
 
 @contextmanager
-def together(
-    folder: Path,
-    names: Sequence[str],
-    *,
-    asked: Path | None = None,
-    own: bool = False,
-) -> Iterator[Path]:
+def together(folder: Path, names: Sequence[str], *, asked: Path | None = None, own: bool = False) -> Iterator[Path]:
     """A place for files that all take their places in a folder at the end, or none of them.
 
     Files of the same names from an earlier run that are not made again go, so that the folder never holds files of two

@@ -65,19 +65,11 @@ class Orientation:
             )
 
     @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the columns that hold it."""
-        return {"quaternion": QUATERNION, "rotation vector": VECTOR}.get(self.name, TURNS)
-
-    @property
-    def dimension(self) -> Dimension:
-        """What these columns hold."""
-        return "number" if self.name == "quaternion" else "angle"
-
-    @property
-    def begins_at(self) -> Mapping[str, float]:
-        """No turn; for quaternions that is not zeros."""
-        return {"quat_w": 1.0} if self.name == "quaternion" else {}
+    def columns(self) -> Mapping[str, Dimension]:
+        """Columns that hold it, and what is in them."""
+        if self.name == "quaternion":
+            return dict.fromkeys(QUATERNION, "number")
+        return dict.fromkeys(VECTOR if self.name == "rotation vector" else TURNS, "angle")
 
     def turn(self, row: Any) -> Expression:
         """Rotation matrix (3x3) of a row."""
@@ -130,7 +122,7 @@ class Orientation:
                         "Invert them: negate quat_x, quat_y and quat_z", QUATERNION[1:], -1.0),
             )  # fmt: skip
         unit = Suspect("unit of the turns", "the turns seem to be radians, written as degrees",
-                       "End the columns' names in _rad", self.columns, 180 / math.pi)  # fmt: skip
+                       "End the columns' names in _rad", tuple(self.columns), 180 / math.pi)  # fmt: skip
         if self.name == "rotation vector":
             fix = "Invert them: negate all three"
             return (unit, Suspect("sense of the rotation vectors", f"the rotation vectors {turn}", fix, VECTOR, -1.0))
@@ -197,7 +189,7 @@ class TrackedPose(Instrument):
     def columns(self) -> Mapping[str, Dimension]:
         """Position and orientation, and the columns that say how good they are."""
         found: dict[str, Dimension] = dict.fromkeys(POSITION, "length")
-        found |= dict.fromkeys(self.written.columns, self.written.dimension)
+        found |= self.written.columns
         for std, dimension in ((self.position_std, "length"), (self.angle_std, "angle")):
             if isinstance(std, str):
                 found[std] = dimension  # type: ignore[assignment]
@@ -220,7 +212,7 @@ class TrackedPose(Instrument):
     @property
     def begins_at(self) -> Mapping[str, float]:
         """No turn, which zeros may not be."""
-        return self.written.begins_at
+        return {"quat_w": 1.0} if self.orientation == "quaternion" else {}
 
     def as_read(self, columns: Mapping[str, Array]) -> Mapping[str, Array]:
         """Quaternions of length one, turns of less than one."""

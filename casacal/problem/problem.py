@@ -67,7 +67,13 @@ class Problem(Value):
             compiled: of a problem that differs in terms and priors alone; by default nothing is compiled yet.
 
         """
-        named = _by_name(instruments)
+        named: dict[str, Any] = {f"instrument{i}": instrument for i, instrument in enumerate(instruments, 1)}
+        if len(instruments) == 1 and isinstance(instruments[0], Mapping):
+            named = dict(instruments[0])
+            for name in named:
+                if not isinstance(name, str) or not NAME.fullmatch(name):
+                    fix = "Use letters, digits, - and _, a letter first, such as 'tracker'"
+                    raise ProblemError(f"An instrument is called {name!r}", fix)
         _check_parts(robot, tuple(named.values()), terms)
         object.__setattr__(self, "terms", tuple(terms))
         object.__setattr__(self, "robot", robot)
@@ -103,11 +109,9 @@ class Problem(Value):
     def instrument(self) -> Instrument:
         """The only instrument; raises ProblemError where there are several."""
         if len(self.instruments) > 1:
-            raise ProblemError(
-                f"'{self.robot.name}' is measured by {len(self.instruments)} instruments ({self._said}), and this "
-                "takes one",
-                f"Take one of them, such as problem.measured_by('{self.names[0]}')",
-            )
+            by, fix = f"{len(self.instruments)} instruments ({self._said})", "Take one of them, such as"
+            what = f"'{self.robot.name}' is measured by {by}, and this takes one"
+            raise ProblemError(what, f"{fix} problem.measured_by('{self.names[0]}')")
         return self.instruments[0]
 
     @property
@@ -116,13 +120,10 @@ class Problem(Value):
         each = [instrument.words for instrument in self.instruments]
         if len(each) == 1:
             return each[0]
-        units, trusted = dict.fromkeys(said.unit for said in each), dict.fromkeys(said.trusted for said in each)
+        units = " or ".join(dict.fromkeys(said.unit for said in each))
         alone = " and ".join(dict.fromkeys(said.before.removesuffix(" fitted alone") for said in each))
-        return Words(
-            unit=" or ".join(units),
-            before=f"{alone} fitted alone",
-            trusted=" and ".join(said for said in trusted if said),
-        )
+        trusted = " and ".join(dict.fromkeys(said.trusted for said in each if said.trusted))
+        return Words(unit=units, before=f"{alone} fitted alone", trusted=trusted)
 
     def measured_by(self, name: str) -> Problem:
         """The same arm with one of its instruments; raises UnknownNameError where there is no such one."""
@@ -294,10 +295,8 @@ class Problem(Value):
 
     def free_names(self) -> list[str]:
         """Keys and components that `fix` and `with_prior` understand."""
-        result: list[str] = []
-        for key, unknown in self._named():
-            result += dict.fromkeys([key, *unknown.names(key)] if unknown.size else [])
-        return list(dict.fromkeys(result))
+        free = ((key, unknown.names(key)) for key, unknown in self._named() if unknown.size)
+        return list(dict.fromkeys(name for key, names in free for name in (key, *names)))
 
     def _named(self) -> Iterator[tuple[str, Unknown]]:
         """Every unknown by its name, once: those of the robot, then of each instrument."""
@@ -357,17 +356,6 @@ def _check_parts(robot: Any, instruments: Sequence[Any], terms: Sequence[Any]) -
         noisy = noisy_joints or instrument.blocks or any(std > 0 for std in instrument.column_stds.values())
         if instrument.residual_std <= 0 and not noisy:
             raise ProblemError(f"{name} declares no noise", "Give the standard deviation of its measurements")
-
-
-def _by_name(given: Sequence[Any]) -> dict[str, Any]:
-    """Instruments by name: of a mapping as it says, else "instrument1" and so on."""
-    if len(given) != 1 or not isinstance(given[0], Mapping):
-        return {f"instrument{i}": instrument for i, instrument in enumerate(given, 1)}
-    for name in given[0]:
-        if not isinstance(name, str) or not NAME.fullmatch(name):
-            fix = "Use letters, digits, - and _, a letter first, such as 'tracker'"
-            raise ProblemError(f"An instrument is called {name!r}", fix)
-    return dict(given[0])
 
 
 def _shared_by(shared: Any, instruments: Mapping[str, Instrument]) -> Shared:

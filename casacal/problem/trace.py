@@ -127,10 +127,11 @@ class Trace(Value):
         robot, instrument, columns, q = self.robot, self.instrument, self.columns, self.q
         p, row, kind = SimpleNamespace(**values), SimpleNamespace(**columns), type(instrument).__name__
         pose = robot.flange(p, q)
+        here = Here(robot, instrument, p, q, pose, row)
         if self.acting:
-            pose, row = _with_terms(Here(robot, instrument, p, q, pose, row), self.acting, columns)
+            pose, row = _with_terms(here, self.acting, columns)
         residual = traced(instrument.residual, "residual", kind, None, pose, p, row)
-        here = Here(robot, instrument, p, q, pose, SimpleNamespace(**columns))
+        here = replace(here, pose=pose)
         for term in self.acting:
             found = traced(term.residual, "residual", term.words, None, here, optional=True)
             residual += _in_its_unit(instrument, residual, found, term.words)

@@ -124,11 +124,6 @@ class DHTable:
             found["beta"] = Parameter(self.beta, unit="rad", prior_std=beside, labels=labels)
         return found
 
-    def in_other_convention(self) -> DHTable:
-        """The same numbers read by the other convention, which makes another arm of them."""
-        other: Any = "modified" if self.convention == "standard" else "standard"
-        return replace(self, convention=other, parallel=(), beta=())
-
     def at(self, p: Any) -> DHTable:
         """Copy with the numbers of `p`, such as those of a calibration."""
         keys = ("alpha", "a", "d", "theta", *(("beta",) if self.parallel else ()))

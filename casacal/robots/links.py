@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -46,7 +45,7 @@ class Links:
             bare = replace(robot.arm, conventions=None)
             plain = TracedPose.of(bare.pose, robot.parameters, len(robot.axes))
         turns, q = tuple(bool(each) for each in robot.revolute), ca.SX.sym("q", len(robot.axes))
-        pose = ca.Function("pose", [q], [ca.SX(plain(SimpleNamespace(**plain.drawn), q))])
+        pose = ca.Function("pose", [q], [ca.SX(plain.at_drawn(q))])
         both = ca.Function("both", [q], [pose(q), ca.jacobian(ca.vec(pose(q)), q)])
         home, slopes = (np.array(each) for each in both(ca.DM.zeros(len(turns))))
         axes, points, places = np.zeros((3, len(turns), 3))

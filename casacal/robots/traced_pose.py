@@ -91,11 +91,6 @@ class Screws:
         return found
 
 
-def triples(rows: Sequence[Sequence[float]]) -> tuple[Triple, ...]:
-    """Rows of numbers as tuples of floats, whatever their length: `Screws` says which is wrong."""
-    return tuple(tuple(float(value) for value in np.ravel(row)) for row in rows)  # type: ignore[misc]
-
-
 @dataclass(frozen=True, eq=False)
 class TracedPose(Value):
     """`pose(p, q)` as a graph: the parameters' values, by key, and q give the factors of the 4x4 flange pose (mm).
@@ -129,18 +124,25 @@ class TracedPose(Value):
             for key, unknown in self.unknowns.items()
         }
 
+    def at_drawn(self, q: Expression) -> Expression:
+        """The flange pose of the arm as drawn."""
+        return self(SimpleNamespace(**self.drawn), q)
+
+    @property
+    def joints(self) -> int:
+        """How many joint values q has."""
+        return int(self.graph.size1_in(self.graph.n_in() - 1))
+
     @cached_property
     def levers(self) -> ca.Function:
         """q -> derivative (3, n) of the flange's origin by the joint values, mm, of the arm as drawn."""
-        q = ca.SX.sym("q", self.graph.size1_in(self.graph.n_in() - 1))
-        place = position(self(SimpleNamespace(**self.drawn), q))
-        return ca.Function("levers", [q], [ca.densify(ca.jacobian(place, q))])
+        q = ca.SX.sym("q", self.joints)
+        return ca.Function("levers", [q], [ca.densify(ca.jacobian(position(self.at_drawn(q)), q))])
 
     def require_rigid(self, owner: str) -> None:
         """Raise ProblemError where the arm as drawn stretches, bends or mirrors its flange in one of three postures."""
-        postures = np.random.default_rng(0).uniform(-1, 1, (3, self.graph.size1_in(self.graph.n_in() - 1)))
-        for q in postures:
-            pose = np.array(ca.DM(self(SimpleNamespace(**self.drawn), ca.DM(q))))
+        for q in np.random.default_rng(0).uniform(-1, 1, (3, self.joints)):
+            pose = np.array(ca.DM(self.at_drawn(ca.DM(q))))
             turn = pose[:3, :3]
             bent = np.abs(turn.T @ turn - np.eye(3)).max()
             if bent > RIGID:
@@ -164,19 +166,6 @@ class TracedPose(Value):
 
     def __hash__(self) -> int:
         return hash(self.text)
-
-
-def check_parameters(parameters: Mapping[str, Any]) -> None:
-    """Raise ProblemError for what cannot be a parameter of an arm."""
-    for key, unknown in parameters.items():
-        if not key.isidentifier():
-            raise ProblemError(f"A parameter is named '{key}'", "Use a Python identifier, it becomes p.<name>")
-        if not isinstance(unknown, Unknown):
-            raise ProblemError(f"Robot parameter '{key}' is {came(unknown)}", f"Make it one: {key}=Parameter(...)")
-        if unknown.per is not None:
-            raise ProblemError(f"Robot parameter '{key}' is per '{unknown.per}'", "Only instruments vary by label")
-        if unknown.nominal is None:
-            raise ProblemError(f"Robot parameter '{key}' has no nominal value", "Give it the drawing's")
 
 
 def traced(
