@@ -180,17 +180,11 @@ def together(folder: Path, names: Sequence[str], *, asked: Path | None = None, o
 
     Files of the same names from an earlier run that are not made again go, so that the folder never holds files of two
     runs; the last name comes last, so that where it stands all stand. Signals wait meanwhile. What a kill interrupts
-    there, `recover` brings to its end.
+    there, `recover` brings to its end. The folder is made where it does not exist, and removed if nothing came of it.
 
-    Args:
-        folder: made where it does not exist; removed again if it was made and nothing came of it.
-        names: files that may be made, in the order in which they are placed.
-        asked: what a refusal names; by default the folder.
-        own: as for `write_text`.
-
-    Raises CasacalError when the folder cannot be written, or another run is writing into it, or a file there was not
-    written by casacal.
-
+    names: files that may be made, in the order in which they are placed. asked: what a refusal names; by default the
+    folder. own: as for `write_text`. Raises CasacalError when the folder cannot be written, or another run is writing
+    into it, or a file there was not written by casacal.
     """
     made = not folder.exists()
     try:

@@ -30,12 +30,7 @@ def run_file(path: str | Path, text: str | None = None) -> ModuleType:
 
     Neither the file nor what it imports from its folder stays in `sys.modules`, so that files of the same name in other
     folders do not meet. What the file prints goes to the errors, so that a program may read casacal's output. Lets pass
-    whatever the file raises.
-
-    Args:
-        path: of the file; it need not exist where `text` is given.
-        text: its text, where that is known already.
-
+    whatever the file raises. The file need not exist where its `text` is given.
     """
     file = Path(path)
     source = file.read_bytes() if text is None else text.encode("utf-8")

@@ -250,14 +250,9 @@ def tool_point(
 
 @dataclass(frozen=True, kw_only=True)
 class ToolTip(Instrument):
-    """What instruments share that see one point of the flange; each says what it sees of it.
+    """What instruments share that see one point of the flange, `tool` (mm); each says what it sees of it.
 
-    Args:
-        noise_std: standard deviation of each residual, mm.
-        tool: the point in the flange frame, mm.
-
-    Raises ProblemError for a noise that is not positive.
-
+    noise_std: standard deviation of each residual, mm; raises ProblemError for one that is not positive.
     """
 
     noise_std: float

@@ -220,17 +220,11 @@ class Problem(Value):
         key: str = KEY,
         absurd: bool = False,
     ) -> Samples:
-        """Read a samples file of one instrument: rows in rad and mm, validated.
+        """Read a samples file of one instrument, CSV, .xlsx, .npy or .npz: rows in rad and mm, validated.
 
-        Args:
-            path: joint values and, unless another file holds them, readings: CSV, .xlsx, .npy or .npz.
-            instrument: whose samples these are.
-            readings: a second file, with a reading for each pose of the first.
-            key: column of both that says which reading belongs to which pose.
-            absurd: whether values pass that no robot has.
-
+        readings: a second file, with a reading for each pose of the first, where that holds joint values alone. key:
+        column of both that says which reading belongs to which pose. absurd: whether values pass that no robot has.
         Raises SamplesError.
-
         """
         layout = self.layout(instrument)
         if not isinstance(path, (str, Path)):
@@ -309,9 +303,8 @@ class Problem(Value):
 
     @property
     def _said(self) -> str:
-        kinds = (type(instrument).__name__ for instrument in self.instruments)
-        named = zip(self.names, kinds, strict=True)
-        return ", ".join(kind if len(self.names) == 1 else f"{name}: {kind}" for name, kind in named)
+        kinds = [type(instrument).__name__ for instrument in self.instruments]
+        return ", ".join(map(": ".join, zip(self.names, kinds, strict=True))) if len(kinds) > 1 else kinds[0]
 
     def _edit(self, name: str, edit: Callable[[Unknown, list[bool]], Unknown]) -> Problem:
         """Copy with an unknown edited, told which of its free components a name means: all by its key, or one."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from casacal.errors import ProblemError, SamplesError
 from casacal.kinematics import Expression, chain, dh, hayati, modified_dh, rotate_x, rotate_y, rotate_z, translate
-from casacal.robots.joints import Conventions, Joint
+from casacal.robots.joints import MOST_JOINTS, Conventions, Joint
 from casacal.tables.text import LINE_END, NUMBER, decode, read_table
 from casacal.unknowns import Parameter, Unknown
 from casacal.unknowns.unknown import spread
@@ -155,7 +155,9 @@ ROW_FIELDS = (
     *(f"{side}_{unit}" for side in ("lower", "upper") for unit in (*ANGLE, *LENGTH)),
 )
 OFFSETS = tuple(f"offsets_{unit}" for unit in (*ANGLE, *LENGTH))
-BLOCK_FIELDS = ("name", "convention", "parallel", "signs", *OFFSETS, "coupling")
+LIKE = {"parallel": "[1, 2]", "signs": "[1, 2]", **dict.fromkeys(OFFSETS, "[0.0, 90.0]"), "coupling": "[[3, 2, -1.0]]"}
+"""Lists that say something of all joints, and what each looks like in TOML."""
+BLOCK_FIELDS = ("name", "convention", *LIKE)
 MISNAMED = {"type": "kind", "joint_type": "kind"}  # what other tables call a field that is called otherwise here
 HALF_TURN = math.pi * (1 + 1e-6)
 KINDS = {"revolute": "revolute", "r": "revolute", "prismatic": "prismatic", "p": "prismatic"}
@@ -390,29 +392,20 @@ def _block(text: str, file: str) -> dict[str, Any]:
             continue
         if key in block:
             raise ProblemError(f"{where}: '{key}' comes a second time", "Leave one of them")
-        block[key] = _value(key, value, where)
+        block[key] = value
+        if key == "coupling":  # 'i j factor' between semicolons
+            block[key] = [_numbers(entry, where) for entry in value.split(";") if entry.strip()]
+        elif key not in ("name", "convention"):
+            block[key] = _numbers(value, where)
+        if key in LIKE and not _sound(key, block[key]):
+            fix = "Write joint, joint and factor, such as 3 2 -1" if key == "coupling" else "Give whole numbers"
+            raise ProblemError(f"{where}: {key} is '{value}'", fix)
     return block
 
 
-def _value(key: str, text: str, where: str) -> Any:
-    """What a key's text means: a word, whole numbers, numbers, or couplings 'i j factor' between semicolons."""
-    if key in ("name", "convention"):
-        return text
-    if key == "coupling":
-        entries = [_numbers(entry, where) for entry in text.split(";") if entry.strip()]
-        if any(len(entry) != 3 or entry[0] % 1 or entry[1] % 1 for entry in entries):
-            raise ProblemError(f"{where}: coupling is '{text}'", "Write joint, joint and factor, such as 3 2 -1")
-        return entries
-    numbers = _numbers(text, where)
-    if key in OFFSETS:
-        return numbers
-    if any(number % 1 for number in numbers):
-        raise ProblemError(f"{where}: {key} is '{text}'", "Give whole numbers")
-    return [int(number) for number in numbers]
-
-
 def _numbers(text: str, where: str) -> list[float]:
-    return [_number(part, where) for part in re.split(r"[,;\s]+", text.strip().strip("[]")) if part]
+    found = [_number(part, where) for part in re.split(r"[,;\s]+", text.strip().strip("[]")) if part]
+    return [int(number) if number.is_integer() else number for number in found]
 
 
 def _number(text: str, where: str) -> float:
@@ -449,8 +442,8 @@ def read_toml(path: str | Path) -> Fields:
     for key, value in block.items():
         if key in ("name", "convention") and not isinstance(value, str):
             raise ProblemError(f"{file}: {key} is {value!r}", "Write it as a text between quotes")
-        if key in BLOCK_FIELDS[2:]:
-            _check_list(key, value, file)
+        if key in LIKE and not _sound(key, value):
+            raise ProblemError(f"{file}: {key} is {value!r}", f"Write it like {LIKE[key]}")
     rows = [(f"{file}, joint {i}", joint) for i, joint in enumerate(joints, 1)]
     for where, joint in rows:
         for key, value in joint.items():
@@ -459,15 +452,13 @@ def read_toml(path: str | Path) -> Fields:
     return Fields(file, block, rows)
 
 
-def _check_list(key: str, value: Any, file: str) -> None:
-    """Refuse what is no list of numbers, or for coupling no list of [joint, joint, factor]."""
+def _sound(key: str, value: Any) -> bool:
+    """Whether a value is a list of numbers, for coupling a list of [joint, joint, factor], whole where they count."""
     rows = value if key == "coupling" and isinstance(value, list) else [value]
-    whole = {"parallel": 99, "signs": 99, "coupling": 2}.get(key, 0)  # how many of the numbers are whole
-    for row in rows:
-        good = isinstance(row, list) and all(_is_number(v) for v in row) and (key != "coupling" or len(row) == 3)
-        if not good or any(v % 1 for v in row[:whole]):
-            kind = "[[3, 2, -1.0]]" if key == "coupling" else "[1, 2]" if whole else "[0.0, 90.0]"
-            raise ProblemError(f"{file}: {key} is {value!r}", f"Write it like {kind}")
+    whole = {"parallel": MOST_JOINTS, "signs": MOST_JOINTS, "coupling": 2}.get(key, 0)
+    if not all(isinstance(row, list) and all(map(_is_number, row)) for row in rows):
+        return False
+    return all((key != "coupling" or len(row) == 3) and not any(v % 1 for v in row[:whole]) for row in rows)
 
 
 def _is_number(value: Any) -> bool:

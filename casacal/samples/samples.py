@@ -68,15 +68,6 @@ def _spellings(name: str, kind: Dimension) -> dict[str, float]:
     return {f"{name}_{unit}" if unit else name: factor for unit, factor in UNITS[kind].items()}
 
 
-def numeric_columns(header: Sequence[str], layout: Layout) -> list[str]:
-    """The columns of a header to read as numbers; none unless there is exactly one for each quantity of the layout."""
-    asked = [_spellings(name, kind) for name, kind in layout.quantities.items()]
-    found = [[name for name in header if name in each] for each in asked]
-    if not all(len(each) == 1 for each in found):
-        return []
-    return [each[0] for each in found] + [name for name in header if name in layout.further]
-
-
 def _taken(layout: Layout) -> set[str]:
     """All names that a layout knows columns by."""
     quantities = (each for name, kind in layout.quantities.items() for each in _spellings(name, kind))
@@ -264,8 +255,11 @@ class Samples(Value):
     @staticmethod
     def from_frame(frame: Any, layout: Layout, *, source: str = "DataFrame") -> Samples:
         """Samples from a pandas DataFrame with the columns of a samples file; raises SamplesError."""
-        numbers = numeric_columns([str(name) for name in frame.columns], layout)
-        return Samples.from_columns(columns_of_frame(frame, numbers, layout.labels, source), layout)
+        header = [str(name) for name in frame.columns]
+        found = [[name for name in header if name in _spellings(*each)] for each in layout.quantities.items()]
+        numbers = [name for each in found for name in each] + [name for name in header if name in layout.further]
+        once = all(len(each) == 1 for each in found)  # else cell by cell, where what is wrong is said
+        return Samples.from_columns(columns_of_frame(frame, numbers if once else [], layout.labels, source), layout)
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, Any], layout: Layout, *, source: str = "arrays") -> Samples:
@@ -382,12 +376,8 @@ def samples_text(
 ) -> str:
     """The same as text.
 
-    Args:
-        layout, samples, comments: as of `write_samples`.
-        before, after: further columns of cells (N,), by name.
-        joint_decimals, least_decimals: of joint values, and of readings at least.
-        prefix: what the names of readings begin with.
-
+    before, after: further columns of cells (N,), by name. joint_decimals, least_decimals: of joint values, and of
+    readings at least. prefix: what the names of readings begin with.
     """
     columns = dict(before)
     joints = zip(layout.joints, samples.joints.T, strict=True)

@@ -461,10 +461,8 @@ APART = 1e-3
 def hand_eye(turns: Array, places: Array, quaternions: Array, read: Array) -> tuple[Array, Array] | None:
     """Body and station (4, 4; mm) that fit best, or None where the rows do not fix them.
 
-    Args:
-        turns, places: rotations (N, 3, 3) and origins (N, 3; mm) of the flange in the base frame.
-        quaternions, read: of the body in the device's frame: w, x, y, z (N, 4), and origins (N, 3; mm).
-
+    turns, places: rotations (N, 3, 3) and origins (N, 3; mm) of the flange in the base frame. quaternions, read: of the
+    body in the device's frame: w, x, y, z (N, 4), and origins (N, 3; mm).
     """
     apart = np.linalg.svd(np.einsum("kia,kjb->ijab", turns, turns).reshape(9, 9), compute_uv=False)
     if len(turns) < 3 or apart[0] - apart[1] < APART * apart[0]:  # of turns about one axis the largest two are alike
