@@ -229,13 +229,13 @@ def _with_terms(here: Here, terms: Sequence[Term], columns: Mapping[str, ca.SX])
 def _in_its_unit(instrument: Instrument, residual: Expression, found: ca.SX, words: str) -> Any:
     """What a term adds to the components in the unit in which the instrument speaks; nothing to others."""
     units = [block.unit for block in instrument.blocks for _ in range(block.size)]
-    alike = [unit == instrument.words.unit for unit in units]
-    if len(alike) != residual.numel():
-        alike = [True] * residual.numel()
-    if found.numel() in (0, 1):  # nothing at all, or all components alike
-        return ca.DM([float(each) for each in alike]) * ca.sum1(found)
-    if found.numel() != sum(alike):
+    places = [k for k, unit in enumerate(units) if unit == instrument.words.unit]
+    if len(units) != residual.numel():
+        places = list(range(residual.numel()))
+    if found.numel() > 1 and found.numel() != len(places):
         what = f"residual of '{words}' has {found.numel()} components"
-        raise ProblemError(what, f"It must have one, or the {sum(alike)} of the instrument's residual")
-    each = iter(range(found.numel()))
-    return ca.vertcat(*(found[next(each)] if one else 0 for one in alike))
+        raise ProblemError(what, f"It must have one, or the {len(places)} of the instrument's residual")
+    added = ca.SX.zeros(residual.numel())
+    if found.numel() and places:
+        added[places] = found  # one for all is spread over them
+    return added

@@ -84,7 +84,7 @@ class DHTable:
         return self.alpha[row - 1 if self.convention == "standard" else row]
 
     def parallel_axes(self) -> tuple[int, ...]:
-        """Rows, from 1, whose axis is nominally parallel to the next one, declared or not."""
+        """FileRows, from 1, whose axis is nominally parallel to the next one, declared or not."""
         return tuple(row for row in range(1, len(self.alpha)) if abs(math.sin(self.twist(row))) <= math.sin(NEARLY))
 
     def pose(self, p: Any, q: Expression) -> Expression:
@@ -163,49 +163,44 @@ HALF_TURN = math.pi * (1 + 1e-6)
 KINDS = {"revolute": "revolute", "r": "revolute", "prismatic": "prismatic", "p": "prismatic"}
 
 
-@dataclass(frozen=True)
-class Fields:
-    """A file's block and rows as read, numbers as numbers; each row with where it stands: "arm.csv, line 3"."""
-
-    file: str
-    block: Mapping[str, Any]
-    rows: Sequence[tuple[str, Row]]
+FileRows: TypeAlias = list[tuple[str, Row]]
+"""FileRows of a file as read, numbers as numbers, each with where it stands: "arm.csv, line 3"."""
 
 
-def table_of(fields: Fields) -> DHTable:
-    """The DH table that a file's fields make; raises ProblemError that names the file and the place."""
-    convention = fields.block.get("convention")
+def table_of(file: str, block: Mapping[str, Any], rows: FileRows) -> DHTable:
+    """The DH table that a file's block and rows make; raises ProblemError that names the file and the place."""
+    convention = block.get("convention")
     if convention not in ("standard", "modified"):
         came = "does not say its convention" if convention is None else f"has the convention '{convention}'"
         fix = "Say standard or modified (Craig's): '# convention: standard' above a CSV's header, 'convention' in TOML"
-        raise ProblemError(f"{fields.file}: the file {came}", fix)
-    if not fields.rows:
-        raise ProblemError(f"{fields.file}: there is no joint", "Give one row per joint")
-    for where, row in fields.rows:
+        raise ProblemError(f"{file}: the file {came}", fix)
+    if not rows:
+        raise ProblemError(f"{file}: there is no joint", "Give one row per joint")
+    for where, row in rows:
         check_names(row, ROW_FIELDS, where)
     columns: dict[str, Any] = {
-        field: tuple(quantity(row, field, UNITS[field], where) for where, row in fields.rows)
+        field: tuple(quantity(row, field, UNITS[field], where) for where, row in rows)
         for field in ("alpha", "a", "d", "theta")
     }
     largest = max(abs(value) for key in ("a", "d") for value in columns[key])
     if 0 < largest < 5 or largest > 20_000:  # no arm: lengths given in the wrong unit
         unit = "m" if largest < 5 else "mm"
         fix = f"Name a and d by their unit: a_{unit}, d_{unit}"
-        raise ProblemError(f"{fields.file}: the largest length is {largest:g} mm", fix)
-    joints = tuple(joint_of(row, where, i) for i, (where, row) in enumerate(fields.rows, 1))
-    parallel = tuple(fields.block.get("parallel", ()))
+        raise ProblemError(f"{file}: the largest length is {largest:g} mm", fix)
+    joints = tuple(joint_of(row, where, i) for i, (where, row) in enumerate(rows, 1))
+    parallel = tuple(block.get("parallel", ()))
     beta = dict.fromkeys(parallel, 0.0)
-    for i, (where, row) in enumerate(fields.rows, 1):
+    for i, (where, row) in enumerate(rows, 1):
         if any(f"beta_{unit}" in row for unit in ANGLE):
             given = quantity(row, "beta", ANGLE, where)
             if given and i not in parallel:
                 fix = "Name it there, if its axis is parallel to the next one"
                 raise ProblemError(f"{where}: row {i} has beta but is not named in parallel", fix)
             beta[i] = given
-    conventions = conventions_of(fields, joints)
-    with _located(fields.file):
+    conventions = conventions_of(file, block, joints)
+    with _located(file):
         return DHTable(
-            name=fields.block.get("name") or fields.file.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0],
+            name=block.get("name") or file.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0],
             joints=joints,
             convention=convention,
             parallel=parallel,
@@ -224,14 +219,14 @@ def _located(where: str) -> Iterator[None]:
         raise ProblemError(f"{where}: {error.what}", error.fix) from None
 
 
-def conventions_of(fields: Fields, joints: Sequence[Joint]) -> Conventions | None:
+def conventions_of(file: str, block: Mapping[str, Any], joints: Sequence[Joint]) -> Conventions | None:
     """What the controller's joints mean, or None where the file says nothing of it."""
-    block, count = fields.block, len(joints)
+    count = len(joints)
     if not {"signs", *OFFSETS, "coupling"} & set(block):
         return None
     for name in ("signs", *OFFSETS):
         if name in block and len(block[name]) != count:
-            what = f"{fields.file}: {name} has {len(block[name])} numbers for {count} joints"
+            what = f"{file}: {name} has {len(block[name])} numbers for {count} joints"
             raise ProblemError(what, "Give one per joint")
     signs, coupling = block.get("signs", [1] * count), block.get("coupling", [])
     offsets = [0.0] * count
@@ -239,11 +234,11 @@ def conventions_of(fields: Fields, joints: Sequence[Joint]) -> Conventions | Non
         values = block.get(f"offsets_{unit}", [0.0] * count)
         for i, (value, joint) in enumerate(zip(values, joints, strict=True)):
             if value and (unit in ANGLE) != (joint.turns):
-                what = f"{fields.file}: offsets_{unit} gives {value:g} for joint {i + 1}, which is {joint.kind}"
+                what = f"{file}: offsets_{unit} gives {value:g} for joint {i + 1}, which is {joint.kind}"
                 fix = "Give offsets of turning joints in deg or rad, of sliding ones in mm or m; zero for the others"
                 raise ProblemError(what, fix)
             offsets[i] += value * {**ANGLE, **LENGTH}[unit]
-    with _located(fields.file):
+    with _located(file):
         whole = tuple(int(sign) if sign in (1, -1) else sign for sign in signs)
         made = Conventions(whole, tuple(offsets), tuple((int(i), int(j), float(f)) for i, j, f in coupling))
         made.check_joints(count, "The table")
@@ -314,7 +309,7 @@ COLUMNS = (
 
 def read_dh_file(path: str | Path) -> DHTable:
     """Read a DH table, as TOML when the name ends in .toml, else as CSV; raises ProblemError that names the place."""
-    return table_of(read_toml(path) if is_toml(path) else read_csv(path))
+    return table_of(str(path), *(read_toml(path) if is_toml(path) else read_csv(path)))
 
 
 def unread_keys(path: str | Path) -> tuple[str, ...]:
@@ -357,14 +352,14 @@ def is_toml(path: str | Path) -> bool:
     return Path(path).suffix.lower() == ".toml"
 
 
-def read_csv(path: str | Path) -> Fields:
-    """Fields of a CSV; raises ProblemError that names file and line."""
+def read_csv(path: str | Path) -> tuple[dict[str, Any], FileRows]:
+    """Block and rows of a CSV; raises ProblemError that names file and line."""
     try:
         table = read_table(path)
     except SamplesError as error:
         fix = error.fix.replace("one line per sample", "one line per joint")
         raise ProblemError(error.what, fix) from None
-    rows: list[tuple[str, Row]] = []
+    rows: FileRows = []
     check_names(dict.fromkeys(table.header), ROW_FIELDS, f"{table.file}, header")  # before their cells are read
     for cells, line in zip(table.rows, table.lines, strict=True):
         row, where = dict[str, Any](), f"{table.file}, line {line}"
@@ -373,7 +368,7 @@ def read_csv(path: str | Path) -> Fields:
             if text:
                 row[name] = text if name in ("kind", "note") else _number(text, f"{where}, '{name}'")
         rows.append((where, row))
-    return Fields(table.file, _block(decode(Path(path).read_bytes(), str(path)), table.file), rows)
+    return _block(decode(Path(path).read_bytes(), table.file), table.file), rows
 
 
 def _block(text: str, file: str) -> dict[str, Any]:
@@ -418,8 +413,8 @@ def _number(text: str, where: str) -> float:
 TOP = ("name", "convention", "parallel", "conventions", "joint")
 
 
-def read_toml(path: str | Path) -> Fields:
-    """Fields of a TOML file; raises ProblemError that names file and joint."""
+def read_toml(path: str | Path) -> tuple[dict[str, Any], FileRows]:
+    """Block and rows of a TOML file; raises ProblemError that names file and joint."""
     file = str(path)
     try:
         document = tomllib.loads(Path(path).read_bytes().decode("utf-8-sig"))
@@ -449,7 +444,7 @@ def read_toml(path: str | Path) -> Fields:
         for key, value in joint.items():
             if key not in ("kind", "note") and not _is_number(value):
                 raise ProblemError(f"{where}: {key} is {value!r}", "Write a number without quotes")
-    return Fields(file, block, rows)
+    return block, rows
 
 
 def _sound(key: str, value: Any) -> bool:

@@ -41,52 +41,6 @@ class UrdfJoint:
     mimics: str | None = None
 
 
-@dataclass(frozen=True)
-class UrdfFile:
-    """All links and joints of a URDF."""
-
-    file: str
-    name: str
-    links: tuple[str, ...]
-    joints: tuple[UrdfJoint, ...]
-
-    def chain(self, base: str | None, tip: str | None) -> tuple[UrdfJoint, ...]:
-        """Joints from a base link (default: the root) to a tip link (default: the only one without child).
-
-        Raises ProblemError for links that do not exist, several roots or tips, and loops.
-        """
-        if tip is None:
-            parents = {joint.parent for joint in self.joints}
-            tip = self._only([link for link in self.links if link not in parents], "tip")
-        if base is None:
-            children = {joint.child for joint in self.joints}
-            base = self._only([link for link in self.links if link not in children], "base")
-        for link in (base, tip):
-            if link not in self.links:
-                fix = f"Name one of {', '.join(self.links)}"
-                raise ProblemError(f"{self.file}: there is no link named '{link}'", fix)
-        found = self.between(base, tip)
-        if found is None:
-            raise ProblemError(f"{self.file}: link '{tip}' does not hang on link '{base}'", "Name a base above the tip")
-        return found
-
-    def between(self, base: str, link: str) -> tuple[UrdfJoint, ...] | None:
-        """Joints from a base link to one that hangs on it; None for one that does not."""
-        parents, way, links = {joint.child: joint for joint in self.joints}, list[UrdfJoint](), [link]
-        while links[-1] in parents and len(way) <= len(self.joints):  # where joints form a loop, once round and one
-            way.append(parents[links[-1]])
-            links.append(way[-1].parent)
-        return tuple(reversed(way[: links.index(base)])) if base in links else None
-
-    def _only(self, links: list[str], what: str) -> str:
-        if len(links) != 1:
-            several = ", ".join(f"'{link}'" for link in links) or "none"
-            name = f"Name one with {what}= (--{what} on the command line)"
-            fix = name if links else "The joints form a loop; mend the file"
-            raise ProblemError(f"{self.file}: there are {len(links)} links that could be the {what}: {several}", fix)
-        return links[0]
-
-
 def check_joint(file: str, joint: UrdfJoint) -> None:
     """Raise ProblemError unless a joint of the chain can be calibrated and its numbers can be metres and radians."""
     where = f"{file}, line {joint.line}: joint '{joint.name}'"
@@ -160,20 +114,21 @@ def read_urdf(path: str | Path) -> UrdfFile:
         raise ProblemError(f"{file}: there is no such file", "Check the path of the URDF") from None
     except OSError as error:
         raise ProblemError(f"{file}: cannot be read ({error.strerror})", "Give a readable URDF") from None
-    reader = _Reader(file)
+    found = UrdfFile(file)
     try:
-        reader.parser.Parse(data, True)
+        found.parser.Parse(data, True)
     except expat.ExpatError as error:
         said = expat.ErrorString(error.code)
         raise ProblemError(f"{file}, line {error.lineno}: broken XML ({said})", "Mend the file") from None
     except (LookupError, ValueError) as error:  # an encoding that nobody knows, or that expat does not
         raise ProblemError(f"{file}: its encoding cannot be read ({error})", "Save it as UTF-8") from None
-    return reader.finished()
+    found.check()
+    return found
 
 
 @dataclass
-class _Reader:
-    """Collects links and joints while expat walks through the file."""
+class UrdfFile:
+    """All links and joints of a URDF, collected while expat walks through it; `path` holds the tags that are open."""
 
     file: str
     path: list[str] = field(default_factory=list)
@@ -188,7 +143,44 @@ class _Reader:
         self.parser.EndElementHandler = lambda _: self.path.pop()
         self.parser.EntityDeclHandler = lambda *_: self._refuse("declares an entity", "Write out its value")
 
-    def finished(self) -> UrdfFile:
+    def chain(self, base: str | None, tip: str | None) -> tuple[UrdfJoint, ...]:
+        """Joints from a base link (default: the root) to a tip link (default: the only one without child).
+
+        Raises ProblemError for links that do not exist, several roots or tips, and loops.
+        """
+        if tip is None:
+            parents = {joint.parent for joint in self.joints}
+            tip = self._only([link for link in self.links if link not in parents], "tip")
+        if base is None:
+            children = {joint.child for joint in self.joints}
+            base = self._only([link for link in self.links if link not in children], "base")
+        for link in (base, tip):
+            if link not in self.links:
+                fix = f"Name one of {', '.join(self.links)}"
+                raise ProblemError(f"{self.file}: there is no link named '{link}'", fix)
+        found = self.between(base, tip)
+        if found is None:
+            raise ProblemError(f"{self.file}: link '{tip}' does not hang on link '{base}'", "Name a base above the tip")
+        return found
+
+    def between(self, base: str, link: str) -> tuple[UrdfJoint, ...] | None:
+        """Joints from a base link to one that hangs on it; None for one that does not."""
+        parents, way, links = {joint.child: joint for joint in self.joints}, list[UrdfJoint](), [link]
+        while links[-1] in parents and len(way) <= len(self.joints):  # where joints form a loop, once round and one
+            way.append(parents[links[-1]])
+            links.append(way[-1].parent)
+        return tuple(reversed(way[: links.index(base)])) if base in links else None
+
+    def _only(self, links: list[str], what: str) -> str:
+        if len(links) != 1:
+            several = ", ".join(f"'{link}'" for link in links) or "none"
+            name = f"Name one with {what}= (--{what} on the command line)"
+            fix = name if links else "The joints form a loop; mend the file"
+            raise ProblemError(f"{self.file}: there are {len(links)} links that could be the {what}: {several}", fix)
+        return links[0]
+
+    def check(self) -> None:
+        """Raise ProblemError for names that come twice, and for joints that do not make a tree of links."""
         for kind, names in (("link", self.links), ("joint", [joint.name for joint in self.joints])):
             for name, count in Counter(names).items():
                 if count > 1:
@@ -206,7 +198,6 @@ class _Reader:
                 fix = "A URDF is a tree: give each link one joint above it"
                 raise ProblemError(f"{where} and joint '{children[joint.child]}' both hold link '{joint.child}'", fix)
             children[joint.child] = joint.name
-        return UrdfFile(self.file, self.name or Path(self.file).stem, tuple(self.links), tuple(self.joints))
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         above, joints = tuple(self.path), self.joints
@@ -219,7 +210,7 @@ class _Reader:
         if not above:
             if tag != "robot":
                 self._refuse(f"begins with <{tag}>, a URDF with <robot>", "Give a URDF")
-            self.name = attributes.get("name", "")
+            self.name = attributes.get("name") or Path(self.file).stem
         elif tag not in KNOWN.get(above, ()):  # what other programs keep there
             return
         elif tag == "link":

@@ -87,12 +87,6 @@ class Whole(Unknown):
         assert is_dataclass(self)
         return replace(self, free=any(free), held_as_proposed=True)
 
-    def freed(self, component: str | None = None) -> Self:
-        """Copy that is free as a whole."""
-        del component
-        assert is_dataclass(self)
-        return replace(self, free=True)
-
     def with_prior(self, stds: Sequence[float]) -> Self:
         """Copy with another prior; coordinates of one unit share a standard deviation, so naming any sets them all."""
         found = [float(std) for std in spread(self.prior_std, 2, "prior_std")]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -143,6 +143,8 @@ class Unknown(ABC):
     def freed(self, component: str | None = None) -> Unknown:
         """Copy that is estimated as a whole, or one more component of it, by what its name adds to the key's."""
         del component
+        if is_dataclass(self) and "free" in {each.name for each in fields(self)}:
+            return replace(self, free=True)
         raise ProblemError(f"{type(self).__name__} cannot be freed", "Declare it free in the problem")
 
     @abstractmethod
