@@ -232,13 +232,35 @@ def rigid(turn: Expression, shift: Expression) -> Expression:
 
 def turns_of(quaternions: Array) -> Array:
     """Rotation matrices (N, 3, 3) of quaternions (N, 4; w, x, y, z) of any length but zero."""
-    from scipy.spatial.transform import Rotation  # takes its time, and few ask
-
-    return np.asarray(Rotation.from_quat(np.roll(quaternions, -1, axis=1)).as_matrix())
+    w, x, y, z = (quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
 
 
 def quaternions_of(turns: Array) -> Array:
-    """Unit quaternions (N, 4; w, x, y, z) of rotation matrices (N, 3, 3); the first number but zero is positive."""
-    from scipy.spatial.transform import Rotation
+    """Unit quaternions (N, 4; w, x, y, z) of rotation matrices (N, 3, 3); the first number but zero is positive.
 
-    return np.roll(Rotation.from_matrix(turns).as_quat(canonical=True), 1, axis=1)
+    Q = 4 q q' is linear in the matrix; its column with the largest diagonal is q, whichever number of it is small
+    (Shepperd, Journal of Guidance and Control 1, 1978).
+    """
+    m = np.moveaxis(turns, 0, -1)
+    xx, yy, zz = m[0, 0], m[1, 1], m[2, 2]
+    wx, wy, wz = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+    xy, xz, yz = m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1]
+    squares = np.array(
+        [
+            [1 + xx + yy + zz, wx, wy, wz],
+            [wx, 1 + xx - yy - zz, xy, xz],
+            [wy, xy, 1 - xx + yy - zz, yz],
+            [wz, xz, yz, 1 - xx - yy + zz],
+        ]
+    )
+    best = np.argmax(np.einsum("iik->ik", squares), axis=0)
+    found = squares[:, best, np.arange(len(best))].T
+    found /= np.linalg.norm(found, axis=1, keepdims=True)
+    first = np.take_along_axis(found, np.argmax(found != 0, axis=1)[:, None], axis=1)
+    return np.asarray(found * np.where(first < 0, -1.0, 1.0))

@@ -129,7 +129,7 @@ class Trace(Value):
         pose = robot.flange(p, q)
         here = Here(robot, instrument, p, q, pose, row)
         if self.acting:
-            pose, row = _with_terms(here, self.acting, columns)
+            pose, row = _with_terms(here, self.acting)
         residual = traced(instrument.residual, "residual", kind, None, pose, p, row)
         here = replace(here, pose=pose)
         for term in self.acting:
@@ -209,15 +209,14 @@ class Trace(Value):
         return symbols, self.at({key: self.unknowns[key].unpacked(symbol) for key, symbol in symbols.items()})
 
 
-def _with_terms(here: Here, terms: Sequence[Term], columns: Mapping[str, ca.SX]) -> tuple[Expression, SimpleNamespace]:
+def _with_terms(here: Here, terms: Sequence[Term]) -> tuple[Expression, SimpleNamespace]:
     """Flange pose and row as they truly are, where joints, flange and readings err."""
-    robot, count = here.robot, len(here.robot.axes)
     off = [traced(term.joints, "joints", term.words, None, here, optional=True) for term in terms]
-    moved = [each for each in off if each.numel() == count]
+    moved = [each for each in off if each.numel() == len(here.robot.axes)]
     if moved:
-        q = here.q + sum(moved, ca.SX.zeros(count))
-        here = replace(here, pose=robot.flange(here.p, q))
-    read = dict(columns)
+        q = here.q + sum(moved, ca.SX.zeros(len(here.robot.axes)))
+        here = replace(here, pose=here.robot.flange(here.p, q))
+    read = dict(vars(here.row))
     for term in terms:
         if (changed := term.pose(here)) is not None:
             here = replace(here, pose=changed)

@@ -15,9 +15,7 @@ from casacal.errors import ProblemError
 from casacal.values import is_real
 
 MOST_JOINTS = 100
-
 MOST_TURNED = 8 * math.pi  # limits of a joint beyond it, in rad, were given in degrees
-
 MOST_RATIO = 1000.0  # largest gear ratio of a robot's joint
 
 

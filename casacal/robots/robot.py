@@ -16,14 +16,7 @@ from casacal.errors import CasacalError, ProblemError, came
 from casacal.kinematics import Expression
 from casacal.robots.dh_table import DHTable, Stds, read_dh_file
 from casacal.robots.joints import Conventions, Joint, joints_of
-from casacal.robots.traced_pose import (
-    Screws,
-    TracedPose,
-    joint_count,
-    traced,
-    traced_function,
-    travels,
-)
+from casacal.robots.traced_pose import Screws, TracedPose, joint_count, traced, traced_function, travels
 from casacal.unknowns import Unknown
 from casacal.values import FrozenMapping, Value, alike, read_only, short
 

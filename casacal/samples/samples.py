@@ -85,19 +85,15 @@ def _nearly(spellings: Sequence[str], header: Sequence[str], taken: Collection[s
 
 def match_columns(table: Columns, layout: Layout) -> dict[str, tuple[str, float]]:
     """The column and the factor to mm or rad of each quantity."""
-
-    def refuse(what: str, fix: str, column: str | None = None) -> SamplesError:
-        return SamplesError(table.file, what, fix, line=table.header_line or None, column=column)
-
     for name, reason in layout.refused.items():
         for column in table.header:
             if re.fullmatch(rf"{name}(_\w+)?", column):
                 fix = "Change the problem, or remove the column"
-                raise refuse(f"the file has this column but {reason}", fix, column)
+                raise table.refusal(f"the file has this column but {reason}", fix, column)
     for column in table.header:
         number = re.fullmatch(r"q(\d+)(_\w+)?", column)
         if number and not 1 <= int(number[1]) <= len(layout.joints):
-            raise refuse(f"the robot has {len(layout.joints)} joints", "Use the file of this robot", column)
+            raise table.refusal(f"the robot has {len(layout.joints)} joints", "Use the file of this robot", column)
     taken = _taken(layout)
     found = {}
     for name, kind in layout.quantities.items():
@@ -105,18 +101,20 @@ def match_columns(table: Columns, layout: Layout) -> dict[str, tuple[str, float]
         present = [column for column in table.header if column in spellings]
         wanted = " or ".join(spellings)
         if len(present) > 1:
-            raise refuse(f"'{present[0]}' and '{present[1]}' both give {name}", "Keep one of the two", present[1])
+            raise table.refusal(
+                f"'{present[0]}' and '{present[1]}' both give {name}", "Keep one of the two", present[1]
+            )
         if present:
             found[name] = present[0], spellings[present[0]]
             continue
         if name in table.header:
-            raise refuse(f"the column has no unit (for {name}: {wanted})", "Add the unit to its name", name)
+            raise table.refusal(f"the column has no unit (for {name}: {wanted})", "Add the unit to its name", name)
         wrong = [column for column in table.header if column.startswith(f"{name}_")]
         if wrong:
-            raise refuse(f"the column does not carry a unit known for {name}", f"Call it {wanted}", wrong[0])
+            raise table.refusal(f"the column does not carry a unit known for {name}", f"Call it {wanted}", wrong[0])
         alike = _nearly(tuple(spellings), table.header, taken)
         seen = f"(did you mean '{alike}'?)" if alike else "among " + ", ".join(table.header[:20])
-        raise refuse(f"there is no column for {name} {seen}", f"{'Call it' if alike else 'Add'} {wanted}", alike)
+        raise table.refusal(f"there is no column for {name} {seen}", f"{'Call it' if alike else 'Add'} {wanted}", alike)
     return found
 
 
@@ -127,8 +125,7 @@ def read_further(table: Columns, layout: Layout) -> dict[str, Array]:
         alike = None if name in table.header else _nearly((name,), table.header, taken)
         if alike is not None:
             what = f"there is no column '{name}' (did you mean '{alike}'?)"
-            fix = f"Call it {name}, or something else if it is another thing"
-            raise SamplesError(table.file, what, fix, line=table.header_line or None, column=alike)
+            raise table.refusal(what, f"Call it {name}, or something else if it is another thing", alike)
     return {name: read_only(table.number(name)) for name in layout.further if name in table.header}
 
 
@@ -138,8 +135,7 @@ def _labels(table: Columns, name: str) -> Labels:
         for column in table.header:
             if column.lower() in (*alike, *ALSO_CALLED.get(name, ())):
                 what = f"there is no column '{name}' of labels (did you mean '{column}'?)"
-                fix = f"Call it {name}, or something else if it holds no labels"
-                raise SamplesError(table.file, what, fix, line=table.header_line or None, column=column)
+                raise table.refusal(what, f"Call it {name}, or something else if it holds no labels", column)
         return Labels.alike(name, len(table.lines))
     labels = table.text(name)
     for label in sorted(labels.names, key=bool):  # an empty one first

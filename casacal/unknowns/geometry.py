@@ -363,8 +363,7 @@ class Frame(Whole):
 
     def at(self, nominal: Expression, local: Expression) -> Expression:
         """4x4 transform at six local coordinates."""
-        if not self.free:
-            return rigid(ca.reshape(nominal[:9], 3, 3), nominal[9:12])
+        local = local if self.free else ca.DM.zeros(6)
         # a rotation by angle phi is the unit quaternion at phi / 2 from the pole
         w, xyz = stereographic(local[:3] / 2)
         return self._moved(nominal, ca.vertcat(w, xyz), local[3:])
@@ -400,7 +399,7 @@ class Frame(Whole):
 
     def _moved(self, nominal: Expression, quaternion: Expression, shift: Expression) -> Expression:
         turn = ca.mtimes(ca.reshape(nominal[:9], 3, 3), rotation_of_quaternion(quaternion))
-        return rigid(turn, nominal[9:12] if self.turns_only else nominal[9:12] + shift)
+        return rigid(turn, nominal[9:12] + (ca.DM.zeros(3) if self.turns_only else shift))
 
 
 ON_A_LINE = 1e-9  # fraction of the largest extent below which points count as lying on a line
