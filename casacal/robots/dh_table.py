@@ -90,16 +90,15 @@ class DHTable:
     def pose(self, p: Any, q: Expression) -> Expression:
         """Flange pose (4x4, mm) at `p.alpha`, `p.a`, `p.d`, `p.theta` (and `p.beta`) and joint values q."""
         q = q if self.conventions is None else self.conventions.to_model(q)
-        links = []
+        links, standard = [], self.convention == "standard"
         for i, joint in enumerate(self.joints):
-            turns = joint.turns
-            d, theta = p.d[i] + (0 if turns else q[i]), p.theta[i] + (q[i] if turns else 0)
-            between = i + 1 if self.convention == "standard" else i  # the row whose twist stands in this link
+            d, theta = p.d[i] + (0 if joint.turns else q[i]), p.theta[i] + (q[i] if joint.turns else 0)
+            between = i + 1 if standard else i  # the row whose twist stands in this link
             if between not in self.parallel:
-                links.append((dh if self.convention == "standard" else modified_dh)(p.alpha[i], p.a[i], d, theta))
+                links.append((dh if standard else modified_dh)(p.alpha[i], p.a[i], d, theta))
                 continue
             beta = p.beta[self.parallel.index(between)]
-            if self.convention == "standard":
+            if standard:
                 links.append(chain(translate(0, 0, d), hayati(p.alpha[i], beta, p.a[i], theta)))
             else:
                 tilt = chain(rotate_x(p.alpha[i]), translate(p.a[i], 0, 0), rotate_y(beta))
@@ -328,14 +327,12 @@ def dh_file_text(table: DHTable, path: str | Path) -> str:
         lines = [f"name = {json.dumps(table.name, ensure_ascii=False)}", f'convention = "{table.convention}"']
         if table.parallel:
             lines.append(f"parallel = {list(table.parallel)}")
-        text = "\n".join(lines) + "\n"
         if table.conventions is not None:
-            text += "\n" + conventions_toml(table.conventions, table.joints)
+            lines += ["", conventions_toml(table.conventions, table.joints).rstrip("\n")]
         for row in rows:
-            kind = f'kind = "{row["kind"]}"'
-            numbers = [f"{key} = {value}" for key, value in row.items() if key not in ("joint", "kind")]
-            text += "\n".join(["", "[[joint]]", kind, *numbers, ""])
-        return text
+            numbers = (f"{key} = {value}" for key, value in row.items() if key not in ("joint", "kind"))
+            lines += ["", "[[joint]]", f'kind = "{row["kind"]}"', *numbers]
+        return "\n".join(lines) + "\n"
     lines = [f"# name: {table.name}", f"# convention: {table.convention}"]
     if table.parallel:
         lines.append(f"# parallel: {', '.join(map(str, table.parallel))}")
