@@ -236,7 +236,7 @@ class Problem(Value):
         return Samples.from_table(together, layout, absurd=absurd)
 
     def fix(self, *names: str) -> Problem:
-        """Copy with unknowns held at nominal, by key ("alpha") or component ("a3"); UnknownNameError for held ones."""
+        """Copy with unknowns held at nominal, by key ("alpha") or component ("a3"); UnknownNameError for others."""
         changed = self
         for name in names:
             changed = changed._edit(name, lambda unknown, meant: unknown.with_free([not hit for hit in meant]))

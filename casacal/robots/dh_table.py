@@ -84,7 +84,7 @@ class DHTable:
         return self.alpha[row - 1 if self.convention == "standard" else row]
 
     def parallel_axes(self) -> tuple[int, ...]:
-        """FileRows, from 1, whose axis is nominally parallel to the next one, declared or not."""
+        """Rows, from 1, whose axis is nominally parallel to the next one, declared or not."""
         return tuple(row for row in range(1, len(self.alpha)) if abs(math.sin(self.twist(row))) <= math.sin(NEARLY))
 
     def pose(self, p: Any, q: Expression) -> Expression:
@@ -163,7 +163,7 @@ KINDS = {"revolute": "revolute", "r": "revolute", "prismatic": "prismatic", "p":
 
 
 FileRows: TypeAlias = list[tuple[str, Row]]
-"""FileRows of a file as read, numbers as numbers, each with where it stands: "arm.csv, line 3"."""
+"""Rows of a file as read, numbers as numbers, each with where it stands: "arm.csv, line 3"."""
 
 
 def table_of(file: str, block: Mapping[str, Any], rows: FileRows) -> DHTable:
