@@ -118,19 +118,16 @@ def check_writable(folder: Path) -> None:
 
 def mark_of_this_run() -> str:
     """What names of temporary files say of who made them: machine and process."""
-    return f"{_machine()}-{os.getpid()}"
+    return f"{hashlib.sha256(platform.node().encode()).hexdigest()[:8]}-{os.getpid()}"
 
 
 def sweep(folder: Path, prefix: str) -> None:
     """Remove temporary files and folders of runs on this machine that ended without doing so."""
-    for left in folder.glob(f"{glob.escape(prefix)}{_machine()}-*"):
-        process = left.name.removeprefix(f"{prefix}{_machine()}-").partition("-")[0]
+    machine = mark_of_this_run().partition("-")[0]
+    for left in folder.glob(f"{glob.escape(prefix)}{machine}-*"):
+        process = left.name.removeprefix(f"{prefix}{machine}-").partition("-")[0]
         if process.isdecimal() and not _runs(int(process)):
             shutil.rmtree(left, ignore_errors=True) if left.is_dir() else left.unlink(missing_ok=True)
-
-
-def _machine() -> str:
-    return hashlib.sha256(platform.node().encode()).hexdigest()[:8]
 
 
 def _runs(process: int) -> bool:

@@ -85,7 +85,10 @@ class Portable:
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         cls = type(self)
-        if _importable(cls):
+        found: Any = sys.modules.get(cls.__module__)
+        for name in cls.__qualname__.split("."):
+            found = getattr(found, name, None)
+        if found is cls:  # another process finds it by its module's name
             return super().__reduce_ex__(protocol)
         if cls._defined_in is None or "<locals>" in cls.__qualname__:
             raise pickle.PicklingError(
@@ -100,14 +103,6 @@ class Portable:
 
     def __deepcopy__(self, memo: object) -> Any:
         return self
-
-
-def _importable(cls: type) -> bool:
-    """Whether another process finds a class by its module's name."""
-    found: Any = sys.modules.get(cls.__module__)
-    for name in cls.__qualname__.split("."):
-        found = getattr(found, name, None)
-    return found is cls
 
 
 @functools.lru_cache(maxsize=64)
