@@ -118,19 +118,16 @@ def check_writable(folder: Path) -> None:
 
 def mark_of_this_run() -> str:
     """What names of temporary files say of who made them: machine and process."""
-    return f"{_machine()}-{os.getpid()}"
+    return f"{hashlib.sha256(platform.node().encode()).hexdigest()[:8]}-{os.getpid()}"
 
 
 def sweep(folder: Path, prefix: str) -> None:
     """Remove temporary files and folders of runs on this machine that ended without doing so."""
-    for left in folder.glob(f"{glob.escape(prefix)}{_machine()}-*"):
-        process = left.name.removeprefix(f"{prefix}{_machine()}-").partition("-")[0]
+    machine = mark_of_this_run().partition("-")[0]
+    for left in folder.glob(f"{glob.escape(prefix)}{machine}-*"):
+        process = left.name.removeprefix(f"{prefix}{machine}-").partition("-")[0]
         if process.isdecimal() and not _runs(int(process)):
             shutil.rmtree(left, ignore_errors=True) if left.is_dir() else left.unlink(missing_ok=True)
-
-
-def _machine() -> str:
-    return hashlib.sha256(platform.node().encode()).hexdigest()[:8]
 
 
 def _runs(process: int) -> bool:
@@ -175,28 +172,16 @@ PREFIX = ".casacal-"
 
 
 @contextmanager
-def together(
-    folder: Path,
-    names: Sequence[str],
-    *,
-    asked: Path | None = None,
-    own: bool = False,
-) -> Iterator[Path]:
+def together(folder: Path, names: Sequence[str], *, asked: Path | None = None, own: bool = False) -> Iterator[Path]:
     """A place for files that all take their places in a folder at the end, or none of them.
 
     Files of the same names from an earlier run that are not made again go, so that the folder never holds files of two
     runs; the last name comes last, so that where it stands all stand. Signals wait meanwhile. What a kill interrupts
-    there, `recover` brings to its end.
+    there, `recover` brings to its end. The folder is made where it does not exist, and removed if nothing came of it.
 
-    Args:
-        folder: made where it does not exist; removed again if it was made and nothing came of it.
-        names: files that may be made, in the order in which they are placed.
-        asked: what a refusal names; by default the folder.
-        own: as for `write_text`.
-
-    Raises CasacalError when the folder cannot be written, or another run is writing into it, or a file there was not
-    written by casacal.
-
+    names: files that may be made, in the order in which they are placed. asked: what a refusal names; by default the
+    folder. own: as for `write_text`. Raises CasacalError when the folder cannot be written, or another run is writing
+    into it, or a file there was not written by casacal.
     """
     made = not folder.exists()
     try:
@@ -244,10 +229,7 @@ def _place(folder: Path, place: Path, names: Sequence[str], own: bool) -> None:
 
 
 def _finish(folder: Path) -> None:
-    """Put files that are ready in their places, where a run was ended on the way.
-
-    Only beside their folder, and never over what somebody put there meanwhile: CasacalError says so.
-    """
+    """Put files that are ready in their places, never over what somebody put there meanwhile (CasacalError)."""
     for ready in folder.glob(f"{READY}*"):
         if not (ready / LIST).exists():  # all are placed, and it was being removed
             with suppress(OSError):
@@ -300,9 +282,8 @@ def _locked(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise CasacalError(
-                f"Another run is writing into '{folder}'", "Wait until it is done, or name another folder"
-            ) from None
+            fix = "Wait until it is done, or name another folder"
+            raise CasacalError(f"Another run is writing into '{folder}'", fix) from None
         except OSError:  # a file system without locks
             pass
         yield

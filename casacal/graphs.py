@@ -63,10 +63,7 @@ def operations_of(function: ca.Function) -> tuple[list[Operation], list[list[int
 
 
 def graph_data(function: ca.Function) -> dict[str, Any]:
-    """An SX function of dense arguments and results: its name, their names and shapes, its operations, its results.
-
-    Raises CasacalError for a function that is no graph of elementary operations.
-    """
+    """Name, arguments, operations and results of an SX function; raises CasacalError for operations of other kinds."""
     try:
         operations, results = operations_of(function)
     except RuntimeError as error:

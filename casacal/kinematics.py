@@ -26,9 +26,7 @@ def deg(angle: float, /) -> float: ...
 def deg(angle: float, /, *angles: float) -> tuple[float, ...]: ...
 def deg(angle: float, /, *angles: float) -> float | tuple[float, ...]:
     """Degrees to radians: one angle to a float, several to a tuple."""
-    if not angles:
-        return math.radians(angle)
-    return tuple(math.radians(value) for value in (angle, *angles))
+    return tuple(map(math.radians, (angle, *angles))) if angles else math.radians(angle)
 
 
 class Product:
@@ -159,10 +157,7 @@ def hayati(alpha: Expression, beta: Expression, a: Expression, theta: Expression
 
 
 def rotate(axis: Expression, angle: Expression) -> Expression:
-    """Rotation by `angle` rad about a unit axis (3,) through the origin, 4x4.
-
-    Rodrigues' formula, eq (3.51) of Lynch & Park, Modern Robotics (2017).
-    """
+    """Rotation by `angle` rad about a unit axis (3,), 4x4: Rodrigues' formula, eq (3.51) of Lynch & Park (2017)."""
     cross: Expression = ca.skew(_column(axis))  # [w] v = w x v
     squared: Expression = ca.mtimes(cross, cross)
     turn = ca.DM.eye(3) + ca.sin(angle) * cross + (1 - ca.cos(angle)) * squared
@@ -200,9 +195,7 @@ def position(pose: Expression) -> Expression:
 
 def rotation(pose: Expression) -> Expression:
     """Rotation matrix of a pose, 3x3."""
-    if isinstance(pose, Product):
-        return Product(factor[:3, :3] for factor in pose.factors)
-    return pose[:3, :3]
+    return Product(factor[:3, :3] for factor in pose.factors) if isinstance(pose, Product) else pose[:3, :3]
 
 
 def transform_point(pose: Expression, point: Expression) -> Expression:

@@ -30,12 +30,7 @@ def run_file(path: str | Path, text: str | None = None) -> ModuleType:
 
     Neither the file nor what it imports from its folder stays in `sys.modules`, so that files of the same name in other
     folders do not meet. What the file prints goes to the errors, so that a program may read casacal's output. Lets pass
-    whatever the file raises.
-
-    Args:
-        path: of the file; it need not exist where `text` is given.
-        text: its text, where that is known already.
-
+    whatever the file raises. The file need not exist where its `text` is given.
     """
     file = Path(path)
     source = file.read_bytes() if text is None else text.encode("utf-8")
@@ -61,10 +56,7 @@ def line_of(file: Path, error: BaseException) -> str:
 
 @contextmanager
 def _folder_first(folder: Path) -> Iterator[list[str]]:
-    """Let imports find what lies in a folder before anything else; afterwards all is as it was.
-
-    Yields a list that in the end holds the files that were imported from there.
-    """
+    """Let imports find a folder first while the block runs; yields a list of the files imported from there."""
     beside = {entry.stem for entry in folder.glob("*.py")} | {entry.parent.name for entry in folder.glob("*/*.py")}
     beside -= RUNNING
     aside = {name: sys.modules.pop(name) for name in list(sys.modules) if name.split(".")[0] in beside}
@@ -93,7 +85,10 @@ class Portable:
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         cls = type(self)
-        if _importable(cls):
+        found: Any = sys.modules.get(cls.__module__)
+        for name in cls.__qualname__.split("."):
+            found = getattr(found, name, None)
+        if found is cls:  # another process finds it by its module's name
             return super().__reduce_ex__(protocol)
         if cls._defined_in is None or "<locals>" in cls.__qualname__:
             raise pickle.PicklingError(
@@ -110,14 +105,6 @@ class Portable:
         return self
 
 
-def _importable(cls: type) -> bool:
-    """Whether another process finds a class by its module's name."""
-    found: Any = sys.modules.get(cls.__module__)
-    for name in cls.__qualname__.split("."):
-        found = getattr(found, name, None)
-    return found is cls
-
-
 @functools.lru_cache(maxsize=64)
 def _class_from(path: str, text: str, name: str) -> type:
     found: Any = run_file(path, text)
@@ -132,10 +119,8 @@ def _instance(path: str, text: str, name: str, state: dict[str, Any]) -> Any:
     try:
         cls = _class_from(path, text, name)
     except Exception as error:  # a user's file may raise anything
-        raise CasacalError(
-            f"{path}, which defines {name}, does not run here: {said(error)}",
-            "Put what it needs beside it, or the class into a module that can be imported in both places",
-        ) from error
+        fix = "Put what it needs beside it, or the class into a module that can be imported in both places"
+        raise CasacalError(f"{path}, which defines {name}, does not run here: {said(error)}", fix) from error
     made: Any = object.__new__(cls)
     for key, item in state.items():
         object.__setattr__(made, key, item)

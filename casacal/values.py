@@ -16,25 +16,24 @@ V = TypeVar("V")
 class FrozenMapping(Mapping[K, V]):
     """A mapping that nobody can change: it pickles, and equals any mapping with the same items."""
 
+    __slots__ = ("_items",)
+
     def __init__(self, items: Mapping[K, V]) -> None:
-        object.__setattr__(self, "_items", dict(items))
+        self._items = dict(items)
 
     def __getitem__(self, key: K) -> V:
-        return self._items[key]  # type: ignore[attr-defined, no-any-return]
+        return self._items[key]
 
     def __iter__(self) -> Iterator[K]:
-        return iter(self._items)  # type: ignore[attr-defined]
+        return iter(self._items)
 
     def __len__(self) -> int:
-        return len(self._items)  # type: ignore[attr-defined]
+        return len(self._items)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Mapping) and alike(dict(self), dict(other))
 
     __hash__ = None  # type: ignore[assignment]  # compared by its items
-
-    def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError("a frozen mapping does not change")
 
     def __reduce__(self) -> tuple[type, tuple[dict[K, V]]]:
         return FrozenMapping, (dict(self),)

@@ -26,7 +26,7 @@ from casacal import (
 from casacal.calibration.verdict import verdict_of
 from casacal.checks.numbers import SCALE, wrong_scale
 from casacal.errors import ProblemError
-from casacal.instruments import DialOnBody
+from casacal.instruments.dial import DialOnBody
 from casacal.uncertainty.common_scale import common_scale
 from casacal.uncertainty.workspace import bayesian_bound, conditional_scale_std, marginal_scale_std, workspace_joints
 

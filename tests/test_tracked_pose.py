@@ -30,7 +30,7 @@ from casacal import (
 from casacal.calibration.page.touches import Touches
 from casacal.calibration.verdict import verdict_of
 from casacal.discrepancy import Drift, with_kit
-from casacal.instruments.tracked_pose import QUATERNION, Orientation, chord
+from casacal.instruments.tracked_pose import QUATERNION, chord
 from casacal.kinematics import position
 from casacal.unknowns.geometry import hand_eye
 
@@ -316,7 +316,7 @@ def other_way(rows, orientation):
     turns = Rotation.from_quat(np.roll(quaternions(rows), -1, axis=1))
     told = turns.as_rotvec() if orientation == "rotation vector" else turns.as_euler(orientation)
     columns = {name: column for name, column in rows.columns.items() if name not in QUATERNION}
-    names = Orientation(orientation).columns
+    names = instrument(orientation).turn_columns
     return dataclasses.replace(rows, columns={**columns, **dict(zip(names, told.T, strict=True))})
 
 
@@ -347,7 +347,7 @@ def test_rows_are_simulated_so_written(orientation):
 @pytest.mark.long
 def test_a_turn_of_nothing_is_one(rows):
     for orientation in WAYS[:3]:
-        names = Orientation(orientation).columns
+        names = instrument(orientation).turn_columns
         still = other_way(rows, orientation)
         still = dataclasses.replace(still, columns={**still.columns, **dict.fromkeys(names, np.zeros(60))})
         bound = bind(Problem(ROBOT, dataclasses.replace(instrument(orientation), body=SIX, station=SIX)), still)
@@ -367,7 +367,7 @@ def test_a_turn_of_nothing_is_one(rows):
     ],
 )
 def test_turns_written_otherwise_are_named(rows, orientation, spoiled, about):
-    made, names = Problem(ROBOT, instrument(orientation)), Orientation(orientation).columns
+    made, names = Problem(ROBOT, instrument(orientation)), instrument(orientation).turn_columns
     told = other_way(rows, orientation)
     wrong = spoiled(np.column_stack([told.columns[name] for name in names]))
     found = check(made, dataclasses.replace(told, columns={**told.columns, **dict(zip(names, wrong.T, strict=True))}))

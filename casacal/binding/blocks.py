@@ -18,7 +18,7 @@ from casacal.instruments import Instrument
 from casacal.kernels.block_rows import Columnwise
 from casacal.problem.compile import RowModel
 from casacal.problem.problem import Problem
-from casacal.problem.term import Site, Survey
+from casacal.problem.term import Survey
 from casacal.samples.samples import Samples
 from casacal.tables.columns import combinations, rows_by_code
 
@@ -118,11 +118,11 @@ def make_block(
     columns = columns.reshape(len(row_slots), model.residual.numel_in(0))
     constants = constants.reshape(len(row_slots), model.residual.numel_in(1))
     beside = row_columns(problem, i, samples, survey, proposed_by(problem, i, nominals(slots)))
-    elsewhere = dict.fromkeys(model.names, 0.0)
+    elsewhere, site = dict.fromkeys(model.names, 0.0), problem.symbols_of(i).site
     for term in model.terms:
-        elsewhere |= term.away(Site(problem.robot, instrument))
+        elsewhere |= term.away(site)
     noise, away = np.empty((len(samples), model.components)), np.array(list(elsewhere.values()))
-    usual = np.array(list((elsewhere | told_sizes(model.terms, Site(problem.robot, instrument), survey)).values()))
+    usual = np.array(list((elsewhere | told_sizes(model.terms, site, survey)).values()))
     block = Block(model, samples, row_slots, pattern, columns, constants, tuple(beside.values()), away, usual, noise)
     noise[:] = block.at_nominal(model.columns.noise)
     for bad in np.flatnonzero(~((noise > 1 / LARGEST) & (noise < LARGEST)).all(axis=1))[:1]:

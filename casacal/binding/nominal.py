@@ -39,7 +39,7 @@ def row_columns(
 ) -> dict[str, Array]:
     """Columns that were read, those known from labels, and those that terms ask for, each (N,)."""
     columns, terms = _instrument_columns(problem, i, samples), problem.models[i].terms
-    site = Site(problem.robot, problem.instruments[i])
+    site = problem.symbols_of(i).site
     if any(term.columns(site) for term in terms):
         assert survey is not None
         rows = SurveyedRows(samples, nominal_tips(problem, i, samples, proposed), survey)

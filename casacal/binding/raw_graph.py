@@ -68,7 +68,8 @@ class RawGraph:
                 columns = [first[s.name] + j for s in seen for j in range(s.unknown.raw_size)]
                 there, noise = np.array(columns, dtype=np.intp), block.noise[rows]
                 found.append(RawBlock(block.model.curvature, there, constants, block.rows(rows), noise, threads))
-        self.blocks, self.start = tuple(found), np.concatenate([s.unknown.raw_start(s.nominal) for s in slots])
+        free = [slot for slot in slots if slot.unknown.size]
+        self.blocks, self.start = tuple(found), np.concatenate([s.unknown.raw_start(s.nominal) for s in free])
         symbols = [ca.SX.sym(slot.name, slot.unknown.raw_size) for slot in slots]
         pairs, v, none = list(zip(slots, symbols, strict=True)), ca.vertcat(*symbols), ca.SX(0, 1)
         valid = ca.densify(ca.vertcat(*(g for s, symbol in pairs for g in s.unknown.raw_constraints(symbol)), none))
@@ -107,8 +108,8 @@ def _prior_of(some: Sequence[Slot], information: Array, x0: Array) -> tuple[ca.S
     if not information.any():  # as faces mostly are
         return v, ca.SX(1, 1), ca.SX.zeros(v.numel()), ca.SX(v.numel(), v.numel())
     starts = np.cumsum([0, *(slot.unknown.raw_size for slot in some)])
-    local = [slot.unknown.raw_local(slot.nominal, v[a:b]) for slot, a, b in zip(some, starts, starts[1:], strict=False)]
-    away = ca.vertcat(*(each for each, slot in zip(local, some, strict=True) if slot.unknown.size)) - ca.DM(x0)
+    parts = [(slot, v[a:b]) for slot, a, b in zip(some, starts, starts[1:], strict=False) if slot.unknown.size]
+    away = ca.vertcat(*(slot.unknown.raw_local(slot.nominal, part) for slot, part in parts)) - ca.DM(x0)
     pull = ca.mtimes(ca.sparsify(ca.DM(information)), away)
     cost = ca.dot(away, pull) / 2
     hessian, gradient = ca.hessian(cost, v)

@@ -14,7 +14,6 @@ from casacal.errors import CasacalError, ProblemError, came, said
 from casacal.instruments import Instrument, Sight
 from casacal.instruments.instrument import NoProposalError
 from casacal.problem.problem import Problem
-from casacal.problem.term import Site
 from casacal.samples.samples import Samples
 from casacal.tables.columns import Labels
 from casacal.unknowns import Parameter, Unknown
@@ -182,7 +181,7 @@ def make_slots(problem: Problem, samples: Sequence[Samples], known: Mapping[str,
             found = sought(problem, i, samples[i], places)
             slots[:] = [replace(slot, nominal=read_only(found.get(slot.name, slot.nominal))) for slot in slots]
         for term in problem.models[i].terms:
-            for key, unknown in term.unknowns(Site(problem.robot, instrument)).items():
+            for key, unknown in term.unknowns(problem.symbols_of(i).site).items():
                 for label, _ in instances(instrument, key, unknown, samples[i]):
                     full = key if term.moves else problem.prefix(i) + key
                     if (full if label is None else f"{full}.{label}") not in taken:

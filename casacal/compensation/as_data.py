@@ -16,14 +16,16 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casacal import instruments
 from casacal.discrepancy.compliance import GravitySag, LinkSag, TorqueCompliance
 from casacal.discrepancy.gears import Backlash, GearRipple, TransmissionError
 from casacal.discrepancy.smooth import Drift, FaceForm, JointField, ThermalGrowth
 from casacal.errors import CasacalError
 from casacal.graphs import graph_data, graph_from
 from casacal.instruments.description import Probe, ResidualBlock
+from casacal.instruments.dial import DialOnBody, DialOnPlane, Step
 from casacal.instruments.instrument import TracedInstrument
+from casacal.instruments.points import Distance, FixedPoint, KnownPoint, SelfContact, Sockets, SphereTouch, TrackedPoint
+from casacal.instruments.tracked_pose import TrackedPose
 from casacal.problem.problem import Problem
 from casacal.robots.dh_table import DHTable
 from casacal.robots.joints import Conventions, Joint
@@ -35,13 +37,14 @@ from casacal.values import FrozenMapping
 
 ARMS = (DHTable, Screws, UrdfChain, Conventions, UrdfJoint, Joint)
 UNKNOWNS = (Parameter, Direction, Plane, Frame)
-BUILT_IN = """DialOnPlane DialOnBody TrackedPoint KnownPoint FixedPoint Sockets Distance SphereTouch TrackedPose
-    SelfContact Step"""
 EFFECTS = (
     *(Backlash, Drift, FaceForm, GearRipple, GravitySag, JointField, LinkSag, ThermalGrowth),
     *(TorqueCompliance, TransmissionError),
 )
-INSTRUMENTS = (*(getattr(instruments, name) for name in BUILT_IN.split()), TracedInstrument)
+INSTRUMENTS = (
+    *(DialOnPlane, DialOnBody, TrackedPoint, KnownPoint, FixedPoint, Sockets, Distance, SphereTouch, TrackedPose),
+    *(SelfContact, Step, TracedInstrument),
+)
 PARTS = (Probe, ResidualBlock, TracedPose)
 KINDS: Mapping[str, type] = {kind.__name__: kind for kind in (*ARMS, *UNKNOWNS, *INSTRUMENTS, *PARTS, *EFFECTS)}
 """What may stand in such data: nothing else is ever made of them."""

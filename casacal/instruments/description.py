@@ -75,13 +75,15 @@ class Sight:
         """Total-least-squares normal (3,) of the tips of some rows, against the mean plunger where there is one."""
         plane = fitted_plane(self.tips[rows])
         if not plane.flat:
-            raise ProblemError(
-                f"A plane was touched at {int(rows.sum())} tips on one line", "Spread the touches over the face"
-            )
+            what = f"A plane was touched at {int(rows.sum())} tips on one line"
+            raise ProblemError(what, "Spread the touches over the face")
         if self.plungers is None:
             return np.asarray(plane.normal)
         towards = float((self.plungers[rows] @ plane.normal).mean()) > 0
         return np.asarray(-plane.normal if towards else plane.normal)
+
+
+COORDINATE = "residual of each coordinate"
 
 
 @dataclass(frozen=True)

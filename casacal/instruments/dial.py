@@ -20,12 +20,6 @@ from casacal.unknowns.geometry import rotation_between, transform
 from casacal.unknowns.unknown import unit_vector
 from casacal.values import FrozenMapping, is_real, plain
 
-APPROACH = (
-    "if the dial is at the end of its travel, move along the plunger until it reads about what is expected: readings "
-    "that differ determine the size of the arm"
-)
-"""What whoever touches with a dial should see to."""
-
 
 def dial_gain(percent: float = 0.15) -> Parameter:
     """How much too much or too little a dial may show of every way: a prior, from its certificate, else 0.15 %.
@@ -118,14 +112,12 @@ class DialOnPlane(Instrument):
         if not 0 < self.turn < math.inf:
             raise ProblemError(f"A turn of the pointer is {self.turn!r}", "Give what it shows, a positive number of mm")
         if (self.gain or self.cycle or self.zero_shift) and not self.reading:
-            raise ProblemError(
-                "A touch without a dial has a gain, a cycle or a zero", "Leave them out, or declare reading=True"
-            )
+            fix = "Leave them out, or declare reading=True"
+            raise ProblemError("A touch without a dial has a gain, a cycle or a zero", fix)
         for label, step in self.steps.items():
             if step.on in self.steps or step.on == label:
-                raise ProblemError(
-                    f"Step '{label}' is on '{step.on}', which is a step itself", "Name a face that is not a step"
-                )
+                what = f"Step '{label}' is on '{step.on}', which is a step itself"
+                raise ProblemError(what, "Name a face that is not a step")
             if not 0 < abs(step.height) < math.inf or not 0 < step.std < math.inf:
                 raise ProblemError(f"Step '{label}' is {step.height!r} +- {step.std!r} mm", "Give its certified height")
         if self.steps and self.plane.per is None:
@@ -144,22 +136,13 @@ class DialOnPlane(Instrument):
     @property
     def unknowns(self) -> Mapping[str, Unknown]:
         """Tool point, plunger direction, plane, and the error of each step's certificate."""
-        errors = {
-            f"step_{i}": Parameter(0.0, unit="mm", prior_std=step.std) for i, step in enumerate(self.steps.values(), 1)
-        }
-        faces = {**self.zero_shifts, "plane": self.plane, **errors}
-        return {"tool": self.tool, "plunger": self.plunger, **self.own_errors, **faces}
+        errors = {f"step_{i}": Parameter(0.0, prior_std=step.std) for i, step in enumerate(self.steps.values(), 1)}
+        return {**self._of_dial, "plane": self.plane, **errors}
 
     @property
-    def own_errors(self) -> Mapping[str, Unknown]:
-        """What the dial itself gets wrong, as far as that is declared."""
-        declared = {"gain": self.gain, "cycle": self.cycle}
-        return {key: unknown for key, unknown in declared.items() if unknown is not None}
-
-    @property
-    def zero_shifts(self) -> Mapping[str, Unknown]:
-        """Where the zero was set anew, as far as that is declared."""
-        return {} if self.zero_shift is None else {"zero_shift": self.zero_shift}
+    def _of_dial(self) -> Mapping[str, Unknown]:
+        every = {key: getattr(self, key) for key in ("tool", "plunger", "gain", "cycle", "zero_shift")}
+        return {key: unknown for key, unknown in every.items() if unknown is not None}
 
     @property
     def known_columns(self) -> Mapping[str, Mapping[str, float]]:
@@ -187,8 +170,12 @@ class DialOnPlane(Instrument):
     def words(self) -> Words:
         """Distances from planes."""
         trusted = "the dial's gain" if self.reading and self.gain is None else ""
-        approach = APPROACH if self.reading else ""
-        return Words("distance from the planes", "mm", "planes", "planes fitted alone", trusted, approach=approach)
+        approach = (
+            "if the dial is at the end of its travel, move along the plunger until it reads about what is expected: "
+            "readings that differ determine the size of the arm"
+        )
+        said = Words("distance from the planes", "mm", "planes", "planes fitted alone", trusted)
+        return replace(said, approach=approach) if self.reading else said
 
     @property
     def known_by(self) -> str:
@@ -207,7 +194,7 @@ class DialOnPlane(Instrument):
             sign=self.sign,
             travel=self.travel,
             label=self.plane.per,
-            moves=("tool", "plunger", *self.own_errors),
+            moves=tuple(key for key in self._of_dial if key != "zero_shift"),
             steps=tuple(self.steps),
             turn=self.turn if self.reading else 0.0,
             zero=None if self.zero_shift is None else "zero_shift",
@@ -219,22 +206,19 @@ class DialOnPlane(Instrument):
         """A wrong sign first, then units."""
         if not self.reading:
             return ()
-        sign = Suspect(
-            "wrong dial sign",
-            "a larger reading shortens the tool where the problem says it lengthens it, or the other way round",
-            f"Reverse the sign of the dial in the problem (--set sign={-self.sign} tries it)",
-            ("reading",),
-            -1.0,
-        )
-        return (sign, *units_mistaken(self.columns))
+        cause = "a larger reading shortens the tool where the problem says it lengthens it, or the other way round"
+        fix = f"Reverse the sign of the dial in the problem (--set sign={-self.sign} tries it)"
+        return (Suspect("wrong dial sign", cause, fix, ("reading",), -1.0), *units_mistaken(self.columns))
 
     def with_faces_by_label(self) -> DialOnPlane | None:
-        """The same with a plane for each label."""
+        """The same with a plane for each label; None where a further face needs a certified angle."""
+        if self.probe.knows_angles:
+            return None
         return self if self.plane.per is not None else replace(self, plane=replace(self.plane, per="plane"))
 
     def with_step(self, label: str, on: str, height: float) -> DialOnPlane | None:
-        """The same with one more step."""
-        return replace(self, steps={**self.steps, label: Step(on, height)})
+        """The same with one more step; None where the faces of a body have places of their own."""
+        return None if self.probe.knows_angles else replace(self, steps={**self.steps, label: Step(on, height)})
 
     def plunger_direction(self, pose: Expression, p: Any) -> Expression:
         """The plunger, turned into the base frame."""
@@ -246,8 +230,7 @@ class DialOnPlane(Instrument):
 
     def reach(self, p: Any, row: Any) -> Expression:
         """How far the tip truly stands out along the plunger, mm: sign * reading, with what the dial gets wrong."""
-        shown = getattr(row, "reading", 0.0)
-        way = shown
+        way = shown = getattr(row, "reading", 0.0)
         if self.gain is not None:
             way += shown * p.gain / 100
         if self.cycle is not None:
@@ -308,8 +291,7 @@ class DialOnBody(DialOnPlane):
     @property
     def unknowns(self) -> Mapping[str, Unknown]:
         """Tool point, plunger direction, orientation of the body, offset of each face."""
-        own = {"body": self.body, "offset": self.offset}
-        return {"tool": self.tool, "plunger": self.plunger, **self.own_errors, **self.zero_shifts, **own}
+        return {**self._of_dial, "body": self.body, "offset": self.offset}
 
     @property
     def known_columns(self) -> Mapping[str, Mapping[str, float]]:
@@ -321,14 +303,6 @@ class DialOnBody(DialOnPlane):
     def probe(self) -> Probe:
         """The dial's, on faces whose angles are known."""
         return replace(super().probe, label="plane", knows_angles=True)
-
-    def with_faces_by_label(self) -> None:
-        """None: a further face needs a certified angle."""
-        return
-
-    def with_step(self, label: str, on: str, height: float) -> None:
-        """None: the faces of a body have places of their own."""
-        del label, on, height
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Signed distance of the tip from its face, mm."""

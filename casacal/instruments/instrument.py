@@ -182,22 +182,19 @@ class Instrument(Portable, ABC):
 def check_declaration(instrument: object) -> None:
     """Raise ProblemError for what is no instrument, or says of itself what cannot be."""
     if isinstance(instrument, type) and issubclass(instrument, Instrument):
-        raise ProblemError(
-            f"Got the class {instrument.__name__}, not an instrument", f"Make one: {instrument.__name__}(...)"
-        )
+        what = f"Got the class {instrument.__name__}, not an instrument"
+        raise ProblemError(what, f"Make one: {instrument.__name__}(...)")
     if not isinstance(instrument, Instrument):
-        raise ProblemError(
-            f"Got {came(instrument)} as an instrument", "Give instruments one by one, such as DialOnPlane"
-        )
+        fix = "Give instruments one by one, such as DialOnPlane"
+        raise ProblemError(f"Got {came(instrument)} as an instrument", fix)
     name = type(instrument).__name__
     for what in ("columns", "column_stds", "reading_limits", "begins_at", "known_columns", "unknowns"):
         if not isinstance(getattr(instrument, what), Mapping):
             raise ProblemError(f"{what} of {name} is {came(getattr(instrument, what))}", "Make it a dict by name")
     for column, dimension in instrument.columns.items():
         if dimension not in get_args(Dimension):
-            raise ProblemError(
-                f"Column '{column}' of {name} is a '{dimension}'", f"Known: {', '.join(get_args(Dimension))}"
-            )
+            fix = f"Known: {', '.join(get_args(Dimension))}"
+            raise ProblemError(f"Column '{column}' of {name} is a '{dimension}'", fix)
     for what in ("column_stds", "reading_limits", "begins_at"):
         for column in getattr(instrument, what):
             if column not in instrument.columns:
@@ -213,10 +210,8 @@ def with_unknown(instrument: Instrument, key: str, unknown: Unknown) -> Instrume
     if key in _fields(instrument):
         return dataclasses.replace(instrument, **{key: unknown})  # type: ignore[type-var]
     if isinstance(getattr(type(instrument), "unknowns", None), property):
-        raise ProblemError(
-            f"'{key}' of {type(instrument).__name__} cannot be replaced",
-            "Make the instrument a dataclass with that field",
-        )
+        what = f"'{key}' of {type(instrument).__name__} cannot be replaced"
+        raise ProblemError(what, "Make the instrument a dataclass with that field")
     changed: Instrument = object.__new__(type(instrument))
     for name, item in {**vars(instrument), "unknowns": {**instrument.unknowns, key: unknown}}.items():
         object.__setattr__(changed, name, item)
@@ -234,10 +229,9 @@ def with_setting(instrument: Instrument, name: str, value: float | tuple[float, 
     if isinstance(value, tuple):
         if name not in instrument.ranges:
             raise ProblemError(f"{name} of {type(instrument).__name__} is one number, not {value}", "Give one")
-        return dataclasses.replace(instrument, **{name: value})  # type: ignore[type-var]
-    whole = isinstance(present[name], int) and float(value).is_integer()
-    changed: Instrument = dataclasses.replace(instrument, **{name: int(value) if whole else float(value)})  # type: ignore[type-var]
-    return changed
+    else:
+        value = int(value) if isinstance(present[name], int) and float(value).is_integer() else float(value)
+    return dataclasses.replace(instrument, **{name: value})  # type: ignore[type-var]
 
 
 def _fields(instrument: Instrument) -> dict[str, object]:
@@ -256,14 +250,9 @@ def tool_point(
 
 @dataclass(frozen=True, kw_only=True)
 class ToolTip(Instrument):
-    """What instruments share that see one point of the flange; each says what it sees of it.
+    """What instruments share that see one point of the flange, `tool` (mm); each says what it sees of it.
 
-    Args:
-        noise_std: standard deviation of each residual, mm.
-        tool: the point in the flange frame, mm.
-
-    Raises ProblemError for a noise that is not positive.
-
+    noise_std: standard deviation of each residual, mm; raises ProblemError for one that is not positive.
     """
 
     noise_std: float
@@ -271,9 +260,8 @@ class ToolTip(Instrument):
 
     def __post_init__(self) -> None:
         if not is_real(self.noise_std) or not 0 < self.noise_std < math.inf:
-            raise ProblemError(
-                f"noise_std of {type(self).__name__} is {self.noise_std!r}", "Give a positive number of mm"
-            )
+            what = f"noise_std of {type(self).__name__} is {self.noise_std!r}"
+            raise ProblemError(what, "Give a positive number of mm")
 
     @property
     def residual_std(self) -> float:
@@ -342,8 +330,8 @@ class TracedInstrument(Instrument):
         columns = {name: ca.SX.sym(name) for name in (*instrument.columns, *instrument.known_columns)}
         row = SimpleNamespace(**columns)
         plunger = instrument.plunger_direction(pose, p)
-        built = [instrument.residual(pose, p, row), instrument.tip(pose, p, row)]
-        built.append(ca.SX(0, 1) if plunger is None else plunger)
+        seen = instrument.residual(pose, p, row), instrument.tip(pose, p, row)
+        built = (*seen, ca.SX(0, 1) if plunger is None else plunger)
         graph = ca.Function("instrument", [pose, *symbols, *columns.values()], [ca.densify(ca.SX(e)) for e in built])
         declared = {name: getattr(instrument, name) for name in DECLARED}
         return TracedInstrument(frozen(declared), FrozenMapping(every), graph)
@@ -372,8 +360,7 @@ class TracedInstrument(Instrument):
         ]
         names = (*self.columns, *self.known_columns)
         known = [getattr(row, name, 0.0) for name in names]  # a tip is asked for without a row, at reading zero
-        found: list[Expression] = self.graph.call([pose.matrix if isinstance(pose, Product) else pose, *packed, *known])
-        return found
+        return list(self.graph.call([pose.matrix if isinstance(pose, Product) else pose, *packed, *known]))
 
 
 DECLARED = tuple(name for name, item in vars(TracedInstrument).items() if isinstance(item, property))

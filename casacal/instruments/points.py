@@ -11,7 +11,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.instruments.description import Sight, Suspect, Words, units_mistaken
+from casacal.instruments.description import COORDINATE, Sight, Suspect, Words, units_mistaken
 from casacal.instruments.instrument import ToolTip, centre_of, proposed_point, tool_point
 from casacal.kinematics import Expression, transform_point
 from casacal.unknowns import Direction, Frame, Parameter
@@ -84,10 +84,8 @@ class Sockets(ToolTip):
         along = {str(label): float(value) for label, value in given.items() if is_finite(value)}
         object.__setattr__(self, "along", FrozenMapping(along))
         if len(set(along.values())) < max(len(given), 2):
-            raise ProblemError(
-                f"The sockets stand at {dict(given) or self.along} along the bar",
-                'Give two places or more, such as {"0": 0, "1": 50}',
-            )
+            what = f"The sockets stand at {dict(given) or self.along} along the bar"
+            raise ProblemError(what, 'Give two places or more, such as {"0": 0, "1": 50}')
 
     @property
     def known_columns(self) -> Mapping[str, Mapping[str, float]]:
@@ -106,9 +104,8 @@ class Sockets(ToolTip):
         apart = along - along.mean()
         towards = apart @ sight.tips
         if not np.ptp(along) or not np.linalg.norm(towards) > 1e-9:
-            raise ProblemError(
-                "Some place of the bar has rows of one socket alone", "Put the ball into two sockets at every place"
-            )
+            fix = "Put the ball into two sockets at every place"
+            raise ProblemError("Some place of the bar has rows of one socket alone", fix)
         way = towards / np.linalg.norm(towards)
         return Direction.encode(way) if key == "bar" else np.asarray(sight.tips.mean(axis=0) - along.mean() * way)
 
@@ -134,10 +131,8 @@ class PointInFrame(ToolTip):
             return super().propose(key, sight)
         matrix = rigid_fit(sight.tips, np.column_stack([sight.columns[axis] for axis in AXES]))
         if matrix is None:
-            raise ProblemError(
-                f"The points of {type(self).__name__} lie on a line",
-                "Measure at least three points that do not lie on one line",
-            )
+            fix = "Measure at least three points that do not lie on one line"
+            raise ProblemError(f"The points of {type(self).__name__} lie on a line", fix)
         return Frame.encode(matrix)
 
 
@@ -164,16 +159,8 @@ class TrackedPoint(PointInFrame):
     @property
     def words(self) -> Words:
         """Coordinates of points."""
-        by = self.station.per or Words.group
-        return Words(
-            "residual of each coordinate",
-            "mm",
-            "points",
-            "station fitted alone",
-            "the scale of the coordinates",
-            group=by,
-            accuracy=True,
-        )
+        by, scale = self.station.per or Words.group, "the scale of the coordinates"
+        return Words(COORDINATE, "mm", "points", "station fitted alone", scale, by, accuracy=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,32 +182,21 @@ class KnownPoint(PointInFrame):
 
     known_by = groups = "point"
     knows_every_label = True  # a point that is not listed stands nowhere
-    words = Words(
-        "residual of each coordinate",
-        "mm",
-        "points",
-        "plate fitted alone",
-        "the points' coordinates",
-        group="point",
-        accuracy=True,
-    )
+    words = Words(COORDINATE, "mm", "points", "plate fitted alone", "the points' coordinates", "point", accuracy=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         given = self.points.items() if isinstance(self.points, Mapping) else [("", self.points)]
         for label, point in given:
             if not (isinstance(point, (tuple, list, np.ndarray)) and len(point) == 3 and all(map(is_finite, point))):
-                raise ProblemError(
-                    f"Point '{label}' of the plate is {point!r}", "Give x, y and z of each point in mm, by its label"
-                )
+                fix = "Give x, y and z of each point in mm, by its label"
+                raise ProblemError(f"Point '{label}' of the plate is {point!r}", fix)
         triples = {str(label): tuple(float(value) for value in point) for label, point in given}
         object.__setattr__(self, "points", FrozenMapping(triples))
         known = np.array(list(triples.values())).reshape(-1, 3)
         if len(known) < 3 or np.linalg.matrix_rank(known - known.mean(axis=0), tol=1e-6) < 2:
-            raise ProblemError(
-                f"The plate has {len(known)} points, and they do not say how it lies",
-                "Give three or more that do not lie on one line",
-            )
+            what = f"The plate has {len(known)} points, and they do not say how it lies"
+            raise ProblemError(what, "Give three or more that do not lie on one line")
 
     @property
     def known_columns(self) -> Mapping[str, Mapping[str, float]]:
@@ -313,12 +289,7 @@ class Distance(ToolTip):
     columns = FrozenMapping({"length": "length"})
     datum = ("anchor", "zero")
     words = Words(
-        "residual of the length",
-        "mm",
-        "lengths",
-        "anchors and zero fitted alone",
-        "the scale of the lengths",
-        group="anchor",
+        "residual of the length", "mm", "lengths", "anchors and zero fitted alone", "the scale of the lengths", "anchor"
     )
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
@@ -330,8 +301,6 @@ class Distance(ToolTip):
         if key != "anchor":
             return super().propose(key, sight)
         if len(sight.tips) < FEWEST:
-            raise ProblemError(
-                f"An anchor has {len(sight.tips)} lengths",
-                f"Take {FEWEST} or more from every anchor, or say where it is",
-            )
+            fix = f"Take {FEWEST} or more from every anchor, or say where it is"
+            raise ProblemError(f"An anchor has {len(sight.tips)} lengths", fix)
         return centre_of(sight.tips, sight.columns["length"], zero=bool(self.zero.size))

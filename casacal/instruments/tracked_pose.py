@@ -13,7 +13,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError, came
-from casacal.instruments.description import Dimension, ResidualBlock, Sight, Suspect, Words, units_mistaken
+from casacal.instruments.description import COORDINATE, Dimension, ResidualBlock, Sight, Suspect, Words, units_mistaken
 from casacal.instruments.instrument import Instrument
 from casacal.kinematics import (
     Expression,
@@ -29,6 +29,7 @@ from casacal.unknowns import Frame
 from casacal.unknowns.geometry import hand_eye, transform
 from casacal.values import is_real
 
+POSITION = ("x", "y", "z")
 QUATERNION = ("quat_w", "quat_x", "quat_y", "quat_z")
 VECTOR = ("turn_x", "turn_y", "turn_z")
 TURNS = ("turn_1", "turn_2", "turn_3")
@@ -38,119 +39,14 @@ SMALL = 1e-24  # keeps a rotation vector of zero from being divided by its lengt
 
 ABOUT = {"x": rotate_x, "y": rotate_y, "z": rotate_z}
 
-
-@dataclass(frozen=True)
-class Orientation:
-    """One way to write an orientation, which turns the body's axes into the device's.
-
-    name: "quaternion" (columns quat_w, quat_x, quat_y, quat_z), "rotation vector" (turn_x, turn_y, turn_z), or three
-    letters, the axes of turn_1, turn_2 and turn_3: capitals where each turns about the axis as the turns before have
-    left it (KUKA's A, B, C is "ZYX"), small ones where the axes stay (FANUC's W, P, R is "xyz").
-
-    Raises ProblemError for any other name.
-    """
-
-    name: str
-
-    def __post_init__(self) -> None:
-        if self.name in ("quaternion", "rotation vector"):
-            return
-        told = self.name if isinstance(self.name, str) else ""
-        axes = told.lower()
-        turns = len(told) == 3 and not set(axes) - set("xyz") and told in (axes, axes.upper())
-        if not turns or any(one == two for one, two in pairwise(axes)):
-            raise ProblemError(
-                f"Got {came(self.name)} as an orientation" if not told else f"An orientation is written as '{told}'",
-                "Give 'quaternion', 'rotation vector', or three axes such as 'ZYX' (A, B, C of KUKA) or 'xyz'",
-            )
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the columns that hold it."""
-        return {"quaternion": QUATERNION, "rotation vector": VECTOR}.get(self.name, TURNS)
-
-    @property
-    def dimension(self) -> Dimension:
-        """What these columns hold."""
-        return "number" if self.name == "quaternion" else "angle"
-
-    @property
-    def begins_at(self) -> Mapping[str, float]:
-        """No turn; for quaternions that is not zeros."""
-        return {"quat_w": 1.0} if self.name == "quaternion" else {}
-
-    def turn(self, row: Any) -> Expression:
-        """Rotation matrix (3x3) of a row."""
-        told = [getattr(row, name) for name in self.columns]
-        if self.name == "quaternion":
-            quaternion = ca.vertcat(*told)
-            return rotation_of_quaternion(quaternion / ca.norm_2(quaternion))
-        if self.name == "rotation vector":
-            vector = ca.vertcat(*told)
-            angle = ca.sqrt(ca.sumsqr(vector) + SMALL)
-            return rotation_of_quaternion(ca.vertcat(ca.cos(angle / 2), ca.sin(angle / 2) * vector / angle))
-        turns = [ABOUT[axis](angle) for axis, angle in zip(self.name.lower(), told, strict=True)]
-        return rotation(chain(*(turns if self.name.isupper() else reversed(turns))))
-
-    def quaternions(self, columns: Mapping[str, Array]) -> Array:
-        """Of all rows (N, 4): w, x, y, z; raises ProblemError where a device has lost the body."""
-        from scipy.spatial.transform import Rotation
-
-        told = np.column_stack([columns[name] for name in self.columns])
-        if self.name == "quaternion":
-            if (lost := int((np.abs(told).max(axis=1) < NO_TURN).sum())) > 0:
-                rows = "1 row holds" if lost == 1 else f"{lost} rows hold"
-                raise ProblemError(
-                    f"{rows} a quaternion of zeros, as devices write that have lost the body", "Remove those rows"
-                )
-            return told
-        vector = self.name == "rotation vector"
-        found = Rotation.from_rotvec(told) if vector else Rotation.from_euler(self.name, told)
-        return np.asarray(np.roll(found.as_quat(), 1, axis=1))
-
-    def told(self, quaternions: Array) -> Mapping[str, Array]:
-        """The columns (N,) of quaternions (N, 4): w, x, y, z, of any length; turns are less than one."""
-        from scipy.spatial.transform import Rotation
-
-        turns = Rotation.from_quat(np.roll(quaternions, -1, axis=1))
-        if self.name == "quaternion":
-            found = np.roll(turns.as_quat(canonical=True), 1, axis=1)
-        else:
-            found = turns.as_rotvec() if self.name == "rotation vector" else turns.as_euler(self.name)
-        return dict(zip(self.columns, found.T, strict=True))
-
-    @property
-    def suspects(self) -> tuple[Suspect, ...]:
-        """Numbers in another order, or turns the other way, where these can be told."""
-        turn = "seem to turn from the device to the body, not from the body to the device"
-        if self.name == "quaternion":
-            order = "the quaternions seem to come as x, y, z, w, and the columns call them w, x, y, z"
-            shifted = (*QUATERNION[3:], *QUATERNION[:3])  # where each of w, x, y, z then stands
-            return (
-                Suspect("order of the quaternions", order, "Rename the columns", QUATERNION, 1.0, shifted),
-                Suspect("sense of the quaternions", f"the quaternions {turn}",
-                        "Invert them: negate quat_x, quat_y and quat_z", QUATERNION[1:], -1.0),
-            )  # fmt: skip
-        unit = Suspect("unit of the turns", "the turns seem to be radians, written as degrees",
-                       "End the columns' names in _rad", self.columns, 180 / math.pi)  # fmt: skip
-        if self.name == "rotation vector":
-            fix = "Invert them: negate all three"
-            return (unit, Suspect("sense of the rotation vectors", f"the rotation vectors {turn}", fix, VECTOR, -1.0))
-        other = f"the turns seem to come in the other order, the one about {self.name[2]} first"
-        fix = f'Rename the columns, or declare orientation="{self.name[::-1].swapcase()}"'
-        return (unit, Suspect("order of the turns", other, fix, TURNS, 1.0, TURNS[::-1]))
-
-
-POSITION = ("x", "y", "z")
-
 HALF_TURN = 1e-16  # keeps the residual of the orientation smooth where it is half a turn off; nothing near zero
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrackedPose(Instrument):
-    """A body on the flange whose position (x, y, z) and orientation are read; `Orientation` says how it is written.
+    """A body on the flange whose position (x, y, z) and orientation, however it is written, are read.
 
-    It turns the body's axes into the device's. Six residuals per row: three of the position, mm, and three
+    The orientation turns the body's axes into the device's. Six residuals per row: three of the position, mm, and three
     of the orientation, rad: twice the vector of the quaternion between reading and model, whose length is the chord of
     the angle between them, 2 sin(angle / 2). That is zero where they agree and nowhere else, unlike the antisymmetric
     part of their rotation, which vanishes at half a turn, too.
@@ -162,7 +58,9 @@ class TrackedPose(Instrument):
         position_std: standard deviation of each coordinate, mm; or the name of the column that says it.
         angle_std: standard deviation of the orientation about each axis, rad; or the name of such a column.
         orientation: "quaternion" (columns quat_w, quat_x, quat_y, quat_z), "rotation vector" (turn_x, turn_y, turn_z),
-            or the axes of turn_1, turn_2, turn_3, such as "ZYX" for KUKA's A, B, C.
+            or three letters, the axes of turn_1, turn_2 and turn_3: capitals where each turns about the axis as the
+            turns before have left it (KUKA's A, B, C is "ZYX"), small ones where the axes stay (FANUC's W, P, R is
+            "xyz").
         body: transform from the flange to the body; proposed from the data when not given.
         station: transform from the robot's base to the device; proposed from the data when not given.
 
@@ -176,39 +74,40 @@ class TrackedPose(Instrument):
     body: Frame = Frame()
     station: Frame = Frame()
 
-    words = Words(
-        "residual of each coordinate",
-        "mm",
-        "poses",
-        "body and station fitted alone",
-        "the scale of the poses",
-        accuracy=True,
-    )
+    words = Words(COORDINATE, "mm", "poses", "body and station fitted alone", "the scale of the poses", accuracy=True)
 
     def __post_init__(self) -> None:
         for name in ("position_std", "angle_std"):
             std = getattr(self, name)
             if not isinstance(std, str) and (not is_real(std) or not 0 < std < math.inf):
                 raise ProblemError(f"{name} of TrackedPose is {std!r}", "Give a positive number, or name a column")
+        if self.orientation not in ("quaternion", "rotation vector"):
+            told = self.orientation if isinstance(self.orientation, str) else ""
+            axes = told.lower()
+            turns = len(told) == 3 and not set(axes) - set("xyz") and told in (axes, axes.upper())
+            if not turns or any(one == two for one, two in pairwise(axes)):
+                what = f"Got {came(self.orientation)} as an orientation"
+                what = f"An orientation is written as '{told}'" if told else what
+                fix = "Give 'quaternion', 'rotation vector', or three axes such as 'ZYX' (A, B, C of KUKA) or 'xyz'"
+                raise ProblemError(what, fix)
         named = [std for std in (self.position_std, self.angle_std) if isinstance(std, str)]
-        taken = {*POSITION, *self.written.columns}
         for name in named:
-            if not name.isidentifier() or name in taken or named.count(name) > 1:
-                raise ProblemError(
-                    f"The noise of TrackedPose is declared to be in the column '{name}'",
-                    "Name a column of its own for each, such as 'position_std' and 'angle_std'",
-                )
+            if not name.isidentifier() or name in {*POSITION, *self.turn_columns} or named.count(name) > 1:
+                fix = "Name a column of its own for each, such as 'position_std' and 'angle_std'"
+                raise ProblemError(f"The noise of TrackedPose is declared to be in the column '{name}'", fix)
 
     @property
-    def written(self) -> Orientation:
-        """How the orientation is written."""
-        return Orientation(self.orientation)
+    def turn_columns(self) -> Mapping[str, Dimension]:
+        """Columns that hold the orientation, and what is in them."""
+        if self.orientation == "quaternion":
+            return dict.fromkeys(QUATERNION, "number")
+        return dict.fromkeys(VECTOR if self.orientation == "rotation vector" else TURNS, "angle")
 
     @property
     def columns(self) -> Mapping[str, Dimension]:
         """Position and orientation, and the columns that say how good they are."""
         found: dict[str, Dimension] = dict.fromkeys(POSITION, "length")
-        found |= dict.fromkeys(self.written.columns, self.written.dimension)
+        found |= self.turn_columns
         for std, dimension in ((self.position_std, "length"), (self.angle_std, "angle")):
             if isinstance(std, str):
                 found[std] = dimension  # type: ignore[assignment]
@@ -226,16 +125,69 @@ class TrackedPose(Instrument):
         lengths = units_mistaken(dict.fromkeys(POSITION, "length"))
         mirror = "the positions seem to come in a left-handed frame: one axis counted the other way"
         right = "Export them in a right-handed frame, or correct the column that is wrong"
-        return (*lengths, *self.written.suspects, Suspect("left-handed frame", mirror, right, ("z",), -1.0))
+        return (*lengths, *self._turns_mistaken(), Suspect("left-handed frame", mirror, right, ("z",), -1.0))
+
+    def _turns_mistaken(self) -> tuple[Suspect, ...]:
+        turn = "seem to turn from the device to the body, not from the body to the device"
+        if self.orientation == "quaternion":
+            order = "the quaternions seem to come as x, y, z, w, and the columns call them w, x, y, z"
+            shifted = (*QUATERNION[3:], *QUATERNION[:3])  # where each of w, x, y, z then stands
+            return (
+                Suspect("order of the quaternions", order, "Rename the columns", QUATERNION, 1.0, shifted),
+                Suspect("sense of the quaternions", f"the quaternions {turn}",
+                        "Invert them: negate quat_x, quat_y and quat_z", QUATERNION[1:], -1.0),
+            )  # fmt: skip
+        unit = Suspect("unit of the turns", "the turns seem to be radians, written as degrees",
+                       "End the columns' names in _rad", tuple(self.turn_columns), 180 / math.pi)  # fmt: skip
+        if self.orientation == "rotation vector":
+            fix = "Invert them: negate all three"
+            return (unit, Suspect("sense of the rotation vectors", f"the rotation vectors {turn}", fix, VECTOR, -1.0))
+        other = f"the turns seem to come in the other order, the one about {self.orientation[2]} first"
+        fix = f'Rename the columns, or declare orientation="{self.orientation[::-1].swapcase()}"'
+        return (unit, Suspect("order of the turns", other, fix, TURNS, 1.0, TURNS[::-1]))
 
     @property
     def begins_at(self) -> Mapping[str, float]:
         """No turn, which zeros may not be."""
-        return self.written.begins_at
+        return {"quat_w": 1.0} if self.orientation == "quaternion" else {}
 
     def as_read(self, columns: Mapping[str, Array]) -> Mapping[str, Array]:
         """Quaternions of length one, turns of less than one."""
-        return {**columns, **self.written.told(self.written.quaternions(columns))}
+        from scipy.spatial.transform import Rotation
+
+        turns = Rotation.from_quat(np.roll(self.quaternions(columns), -1, axis=1))
+        if self.orientation == "quaternion":
+            found = np.roll(turns.as_quat(canonical=True), 1, axis=1)
+        else:
+            found = turns.as_rotvec() if self.orientation == "rotation vector" else turns.as_euler(self.orientation)
+        return {**columns, **dict(zip(self.turn_columns, found.T, strict=True))}
+
+    def turn(self, row: Any) -> Expression:
+        """Rotation matrix (3x3) of a row."""
+        told = [getattr(row, name) for name in self.turn_columns]
+        if self.orientation == "quaternion":
+            quaternion = ca.vertcat(*told)
+            return rotation_of_quaternion(quaternion / ca.norm_2(quaternion))
+        if self.orientation == "rotation vector":
+            vector = ca.vertcat(*told)
+            angle = ca.sqrt(ca.sumsqr(vector) + SMALL)
+            return rotation_of_quaternion(ca.vertcat(ca.cos(angle / 2), ca.sin(angle / 2) * vector / angle))
+        turns = [ABOUT[axis](angle) for axis, angle in zip(self.orientation.lower(), told, strict=True)]
+        return rotation(chain(*(turns if self.orientation.isupper() else reversed(turns))))
+
+    def quaternions(self, columns: Mapping[str, Array]) -> Array:
+        """Of all rows (N, 4): w, x, y, z; raises ProblemError where a device has lost the body."""
+        from scipy.spatial.transform import Rotation
+
+        told = np.column_stack([columns[name] for name in self.turn_columns])
+        if self.orientation == "quaternion":
+            if lost := int((np.abs(told).max(axis=1) < NO_TURN).sum()):
+                what = f"{'1 row holds' if lost == 1 else f'{lost} rows hold'} a quaternion of zeros, as devices write"
+                raise ProblemError(f"{what} that have lost the body", "Remove those rows")
+            return told
+        vector = self.orientation == "rotation vector"
+        found = Rotation.from_rotvec(told) if vector else Rotation.from_euler(self.orientation, told)
+        return np.asarray(np.roll(found.as_quat(), 1, axis=1))
 
     def tip(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Where the body is (3, mm)."""
@@ -246,19 +198,17 @@ class TrackedPose(Instrument):
         """Position predicted minus read (3, mm), and orientation (3, rad)."""
         seen = chain(p.station, pose, p.body)
         place = position(seen) - ca.vertcat(row.x, row.y, row.z)
-        return ca.vertcat(place, chord(ca.mtimes(self.written.turn(row).T, rotation(seen))))
+        return ca.vertcat(place, chord(ca.mtimes(self.turn(row).T, rotation(seen))))
 
     def propose(self, key: str, sight: Sight) -> Array:
         """Body and station of T X = Z B (Shah 2013), whichever is asked for."""
         turns = sight.poses[:, :3, :3]
-        read = self.written.quaternions(sight.columns)
+        read = self.quaternions(sight.columns)
         places = np.column_stack([sight.columns[name] for name in POSITION])
         found = hand_eye(turns, sight.poses[:, :3, 3], read, places)
         if found is None:
-            raise ProblemError(
-                "The postures of TrackedPose turn the flange about one axis only, or hardly",
-                "Take three poses or more that turn it about two axes, by some degrees at least",
-            )
+            fix = "Take three poses or more that turn it about two axes, by some degrees at least"
+            raise ProblemError("The postures of TrackedPose turn the flange about one axis only, or hardly", fix)
         return Frame.encode(found[0 if key == "body" else 1])
 
     def stands(self, key: str, near: Array, normal: Array) -> Array:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from types import SimpleNamespace
-from typing import Any
 
 import casadi as ca
 
 from casacal.errors import ProblemError
-from casacal.instruments import Instrument
 from casacal.kernels.backend import VARIABLE, row_kernels
 from casacal.kernels.block_rows import Batch, Columnwise, CurvatureKernel
 from casacal.kernels.filter_passes import Cubature
@@ -29,47 +26,6 @@ PER_RAD = 100.0
 def per_radian(robot: Robot) -> list[float]:
     """What counts as a radian of each joint: one, or `PER_RAD` mm of a sliding one."""
     return [1.0 if turns else PER_RAD for turns in robot.revolute]
-
-
-def position_jacobian(point: ca.SX, z: ca.SX) -> ca.SX:
-    """dP/dz (3, nz) of a point P (3, mm), the tip's or the flange's: the J of eqs (3)-(5) of arXiv:2208.02652."""
-    return ca.jacobian(point, z)
-
-
-def residual_noise(traced: Trace) -> ca.SX:
-    """Standard deviation (m) of the residual: errors of joints and columns, carried by its slope, beside its own."""
-    residual, instrument = traced.residual, traced.instrument
-    variance: ca.SX = ca.vertcat(*_own_variances(instrument, residual.numel(), traced.columns))
-    for name, std in instrument.column_stds.items():
-        variance += (ca.jacobian(residual, traced.columns[name]) * std) ** 2
-    for j, joint in enumerate(traced.robot.axes):
-        if joint.repeatability_std > 0:
-            variance += (ca.jacobian(residual, traced.q[j]) * joint.repeatability_std) ** 2
-    return ca.SX(ca.sqrt(variance))
-
-
-def _own_variances(instrument: Instrument, components: int, columns: Mapping[str, ca.SX]) -> list[Any]:
-    """Variance of each component of a residual by itself, as the instrument declares it: a number or from a column.
-
-    Raises ProblemError where its blocks are not those of its residual.
-    """
-    if not instrument.blocks:
-        return [ca.SX(instrument.residual_std**2)] * components
-    name, total = type(instrument).__name__, sum(block.size for block in instrument.blocks)
-    if total != components:
-        fix = "Give each component a block"
-        raise ProblemError(f"The blocks of {name} hold {total} residuals, and it has {components}", fix)
-    found: list[Any] = []
-    for block in instrument.blocks:
-        if isinstance(block.std, str) and block.std not in columns:
-            raise ProblemError(
-                f"The noise of '{block.name}' of {name} is declared to be in the column '{block.std}', which it does "
-                "not read",
-                f"Its columns: {', '.join(columns) or 'none'}",
-            )
-        std = columns[block.std] if isinstance(block.std, str) else ca.SX(block.std)
-        found += [std**2] * block.size
-    return found
 
 
 @dataclass(frozen=True)
@@ -107,6 +63,8 @@ class RowModel:
     """Direction of the plunger (3) in the base frame; None for an instrument without one."""
     raw_residual: ca.Function
     """(v, c, d) -> e (m) at raw coordinates v, for the IPOPT reference."""
+    _rows: dict[str, Kernels] = field(default_factory=dict, compare=False, repr=False)
+    _filters: dict[str, Cubature] = field(default_factory=dict, compare=False, repr=False)
 
     @cached_property
     def text(self) -> str:
@@ -133,14 +91,6 @@ class RowModel:
         return self._filters[name]
 
     @cached_property
-    def _filters(self) -> dict[str, Cubature]:
-        return {}
-
-    @cached_property
-    def _rows(self) -> dict[str, Kernels]:
-        return {}
-
-    @cached_property
     def columns(self) -> SimpleNamespace:
         """Noise, tip, pose and plunger of many rows at one (z, c), each as a `Columnwise`."""
         return self._each("noise joint_noise tip pose plunger", Columnwise)
@@ -161,12 +111,10 @@ class RowModel:
 
 
 def compile_rows(traced: Trace) -> RowModel:
-    """Compile what was traced of one robot with one instrument.
-
-    Raises ProblemError when `pose` or `residual` depends on something else than joints, columns and unknowns.
-    """
+    """Compile a trace; raises ProblemError where it depends on anything but joints, columns and unknowns."""
     seen, z, e = traced.seen, traced.z, traced.residual
     inputs, (v, raw_residual), origin = [z, traced.c, traced.d], traced.raw, ca.SX(position(seen.pose))
+    slope, origin_slope = ca.jacobian(seen.tip, z), ca.jacobian(origin, z)  # J of eqs (3)-(5) of arXiv:2208.02652
     declared = {**traced.robot.parameters, **traced.instrument.unknowns}
     by_joint = ca.jacobian(e, traced.q) @ ca.diag(ca.DM(per_radian(traced.robot)))
 
@@ -180,11 +128,11 @@ def compile_rows(traced: Trace) -> RowModel:
         names=tuple(traced.columns),
         residual=made("residual", e),
         jacobian=made("jacobian", e, traced.jacobian.T),
-        noise=made("noise", residual_noise(traced)),
+        noise=made("noise", traced.noise),
         joint_noise=made("joint_noise", ca.sqrt(ca.sum2(by_joint**2))),
         tip=made("tip", seen.tip),
-        tip_jacobian=made("tip_jacobian", seen.tip, position_jacobian(seen.tip, z).T),
-        flange_jacobian=made("flange_jacobian", origin, position_jacobian(origin, z).T),
+        tip_jacobian=made("tip_jacobian", seen.tip, slope.T),
+        flange_jacobian=made("flange_jacobian", origin, origin_slope.T),
         pose=made("pose", traced.pose),
         plunger=None if seen.plunger is None else made("plunger", seen.plunger),
         raw_residual=row_function("raw_residual", [v, *inputs[1:]], [raw_residual]),
@@ -192,15 +140,10 @@ def compile_rows(traced: Trace) -> RowModel:
 
 
 def row_function(name: str, inputs: list[ca.SX], outputs: list[ca.SX], names: list[str] | None = None) -> ca.Function:
-    """A function of dense outputs, common subexpressions once; `names` of its inputs, the output's is its own.
-
-    Raises ProblemError when an output depends on anything but the inputs.
-    """
+    """A function of dense outputs; `names` of its inputs. Raises ProblemError when it depends on anything else."""
     dense = [ca.densify(output) for output in ca.cse(outputs)]
     try:
         return ca.Function(name, inputs, dense, names, [name]) if names else ca.Function(name, inputs, dense)
     except RuntimeError as error:
-        raise ProblemError(
-            f"The {name} depends on a symbol that is neither a joint, a column nor an unknown",
-            "Use only p, q and row inside pose and residual",
-        ) from error
+        what = f"The {name} depends on a symbol that is neither a joint, a column nor an unknown"
+        raise ProblemError(what, "Use only p, q and row inside pose and residual") from error

@@ -111,9 +111,8 @@ def _table_said(table: DHTable, given: Given) -> dict[str, str]:
 def _written(name: str, out: str | Path, told: Mapping[str, object], files: Mapping[str, bytes] = EMPTY) -> Path:
     """Write a folder beside its place, see that it loads, and only then put it there."""
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", name):
-        raise CasacalError(
-            f"'{name}' cannot name a problem's folder", "Use letters, digits, _ and -; --out says where it goes"
-        )
+        fix = "Use letters, digits, _ and -; --out says where it goes"
+        raise CasacalError(f"'{name}' cannot name a problem's folder", fix)
     folder = Path(out) / name
     if folder.exists():
         raise CasacalError(f"'{folder}' exists already", "Choose another name, or move it away")

@@ -67,7 +67,13 @@ class Problem(Value):
             compiled: of a problem that differs in terms and priors alone; by default nothing is compiled yet.
 
         """
-        named = _by_name(instruments)
+        named: dict[str, Any] = {f"instrument{i}": instrument for i, instrument in enumerate(instruments, 1)}
+        if len(instruments) == 1 and isinstance(instruments[0], Mapping):
+            named = dict(instruments[0])
+            for name in named:
+                if not isinstance(name, str) or not NAME.fullmatch(name):
+                    fix = "Use letters, digits, - and _, a letter first, such as 'tracker'"
+                    raise ProblemError(f"An instrument is called {name!r}", fix)
         _check_parts(robot, tuple(named.values()), terms)
         object.__setattr__(self, "terms", tuple(terms))
         object.__setattr__(self, "robot", robot)
@@ -103,11 +109,9 @@ class Problem(Value):
     def instrument(self) -> Instrument:
         """The only instrument; raises ProblemError where there are several."""
         if len(self.instruments) > 1:
-            raise ProblemError(
-                f"'{self.robot.name}' is measured by {len(self.instruments)} instruments ({self._said}), and this "
-                "takes one",
-                f"Take one of them, such as problem.measured_by('{self.names[0]}')",
-            )
+            by, fix = f"{len(self.instruments)} instruments ({self._said})", "Take one of them, such as"
+            what = f"'{self.robot.name}' is measured by {by}, and this takes one"
+            raise ProblemError(what, f"{fix} problem.measured_by('{self.names[0]}')")
         return self.instruments[0]
 
     @property
@@ -116,13 +120,10 @@ class Problem(Value):
         each = [instrument.words for instrument in self.instruments]
         if len(each) == 1:
             return each[0]
-        units, trusted = dict.fromkeys(said.unit for said in each), dict.fromkeys(said.trusted for said in each)
+        units = " or ".join(dict.fromkeys(said.unit for said in each))
         alone = " and ".join(dict.fromkeys(said.before.removesuffix(" fitted alone") for said in each))
-        return Words(
-            unit=" or ".join(units),
-            before=f"{alone} fitted alone",
-            trusted=" and ".join(said for said in trusted if said),
-        )
+        trusted = " and ".join(dict.fromkeys(said.trusted for said in each if said.trusted))
+        return Words(unit=units, before=f"{alone} fitted alone", trusted=trusted)
 
     def measured_by(self, name: str) -> Problem:
         """The same arm with one of its instruments; raises UnknownNameError where there is no such one."""
@@ -219,17 +220,11 @@ class Problem(Value):
         key: str = KEY,
         absurd: bool = False,
     ) -> Samples:
-        """Read a samples file of one instrument: rows in rad and mm, validated.
+        """Read a samples file of one instrument, CSV, .xlsx, .npy or .npz: rows in rad and mm, validated.
 
-        Args:
-            path: joint values and, unless another file holds them, readings: CSV, .xlsx, .npy or .npz.
-            instrument: whose samples these are.
-            readings: a second file, with a reading for each pose of the first.
-            key: column of both that says which reading belongs to which pose.
-            absurd: whether values pass that no robot has.
-
+        readings: a second file, with a reading for each pose of the first, where that holds joint values alone. key:
+        column of both that says which reading belongs to which pose. absurd: whether values pass that no robot has.
         Raises SamplesError.
-
         """
         layout = self.layout(instrument)
         if not isinstance(path, (str, Path)):
@@ -241,20 +236,14 @@ class Problem(Value):
         return Samples.from_table(together, layout, absurd=absurd)
 
     def fix(self, *names: str) -> Problem:
-        """Copy with unknowns held at nominal: a key ("alpha") or a component ("a3", "tool_x").
-
-        Raises UnknownNameError for a name that does not exist or is held already.
-        """
+        """Copy with unknowns held at nominal, by key ("alpha") or component ("a3"); UnknownNameError for others."""
         changed = self
         for name in names:
             changed = changed._edit(name, lambda unknown, meant: unknown.with_free([not hit for hit in meant]))
         return changed
 
     def free(self, *names: str) -> Problem:
-        """Copy with unknowns estimated that were held: a key ("tool") or a component ("tool_x").
-
-        They keep their priors. Raises UnknownNameError for a name that does not exist.
-        """
+        """Copy with unknowns estimated that were held, with their priors: by key or component; or UnknownNameError."""
         changed = self
         for name in names:
             known = dict(changed._named())
@@ -300,10 +289,8 @@ class Problem(Value):
 
     def free_names(self) -> list[str]:
         """Keys and components that `fix` and `with_prior` understand."""
-        result: list[str] = []
-        for key, unknown in self._named():
-            result += dict.fromkeys([key, *unknown.names(key)] if unknown.size else [])
-        return list(dict.fromkeys(result))
+        free = ((key, unknown.names(key)) for key, unknown in self._named() if unknown.size)
+        return list(dict.fromkeys(name for key, names in free for name in (key, *names)))
 
     def _named(self) -> Iterator[tuple[str, Unknown]]:
         """Every unknown by its name, once: those of the robot, then of each instrument."""
@@ -316,9 +303,8 @@ class Problem(Value):
 
     @property
     def _said(self) -> str:
-        kinds = (type(instrument).__name__ for instrument in self.instruments)
-        named = zip(self.names, kinds, strict=True)
-        return ", ".join(kind if len(self.names) == 1 else f"{name}: {kind}" for name, kind in named)
+        kinds = [type(instrument).__name__ for instrument in self.instruments]
+        return ", ".join(map(": ".join, zip(self.names, kinds, strict=True))) if len(kinds) > 1 else kinds[0]
 
     def _edit(self, name: str, edit: Callable[[Unknown, list[bool]], Unknown]) -> Problem:
         """Copy with an unknown edited, told which of its free components a name means: all by its key, or one."""
@@ -365,17 +351,6 @@ def _check_parts(robot: Any, instruments: Sequence[Any], terms: Sequence[Any]) -
             raise ProblemError(f"{name} declares no noise", "Give the standard deviation of its measurements")
 
 
-def _by_name(given: Sequence[Any]) -> dict[str, Any]:
-    """Instruments by name: of a mapping as it says, else "instrument1" and so on."""
-    if len(given) != 1 or not isinstance(given[0], Mapping):
-        return {f"instrument{i}": instrument for i, instrument in enumerate(given, 1)}
-    for name in given[0]:
-        if not isinstance(name, str) or not NAME.fullmatch(name):
-            fix = "Use letters, digits, - and _, a letter first, such as 'tracker'"
-            raise ProblemError(f"An instrument is called {name!r}", fix)
-    return dict(given[0])
-
-
 def _shared_by(shared: Any, instruments: Mapping[str, Instrument]) -> Shared:
     """What was declared as shared; refused where instruments do not have it, or not alike."""
     if not isinstance(shared, Mapping):
@@ -393,10 +368,8 @@ def _shared_by(shared: Any, instruments: Mapping[str, Instrument]) -> Shared:
                 raise ProblemError(f"'{name}' has no unknown '{key}' to share", f"It has: {have}")
         first, *others = (instruments[name].unknowns[key] for name in names)
         if any(other != first for other in others):
-            raise ProblemError(
-                f"'{key}' is declared in different ways by {' and '.join(names)}, which share it",
-                "Declare it once, and give the same to each",
-            )
+            what = f"'{key}' is declared in different ways by {' and '.join(names)}, which share it"
+            raise ProblemError(what, "Declare it once, and give the same to each")
         found[str(key)] = tuple(names)
     return FrozenMapping(found)
 
@@ -405,9 +378,7 @@ def _with_std(name: str, std: float, unknown: Unknown, meant: list[bool]) -> Unk
     """An unknown with another prior standard deviation of the components that a name means."""
     units = sorted({unit for unit, hit in zip(unknown.units, meant, strict=True) if hit})
     if len(units) > 1:
-        raise ProblemError(
-            f"'{name}' has components in {' and '.join(units)}, so one standard deviation does not fit all",
-            f"Name a component: {', '.join(unknown.names(name))}",
-        )
+        what = f"'{name}' has components in {' and '.join(units)}, so one standard deviation does not fit all"
+        raise ProblemError(what, f"Name a component: {', '.join(unknown.names(name))}")
     pairs = zip(unknown.prior_stds, meant, strict=True)
     return unknown.with_prior([std if hit else float(before) for before, hit in pairs])

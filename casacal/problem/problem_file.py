@@ -90,10 +90,8 @@ def load_problem(path: str | Path) -> ProblemFile:
         fix = f"Give a folder with a problem.py, or such a file{known}"
         raise ProblemError(f"There is no problem at '{path}'", fix)
     if file.suffix != ".py":
-        raise ProblemError(
-            f"'{path}' is no problem file, which is a program in Python",
-            "Give a folder with a problem.py, or such a file; casacal new makes one from a URDF or a DH table",
-        )
+        fix = "Give a folder with a problem.py, or such a file; casacal new makes one from a URDF or a DH table"
+        raise ProblemError(f"'{path}' is no problem file, which is a program in Python", fix)
     source = SourceFile.read(file)
     try:
         values = vars(run_file(file))

@@ -78,13 +78,11 @@ WIDTH = 120  # longest line of a problem file
 
 def conventions(said: Conventions, joints: Sequence[Joint]) -> str:
     """The `Conventions(...)` of a table."""
-    turns = [joint.turns for joint in joints]
-    if all(turns):
-        offsets = angles(said.offsets)
-    else:
-        shown = (f"deg({degrees(o)})" if turn else plain(o) for o, turn in zip(said.offsets, turns, strict=True))
-        offsets = tuple_of(shown, 8)
-    parts = [f"signs={tuple_of(map(str, said.signs))}", *([f"offsets={offsets}"] if any(said.offsets) else [])]
+    parts = [f"signs={tuple_of(map(str, said.signs))}"]
+    if any(said.offsets):
+        pairs = zip(said.offsets, joints, strict=True)
+        each = (f"deg({degrees(offset)})" if joint.turns else plain(offset) for offset, joint in pairs)
+        parts.append(f"offsets={angles(said.offsets) if all(j.turns for j in joints) else tuple_of(each, 8)}")
     if said.coupling:
         parts.append(f"coupling={tuple_of(f'({i}, {j}, {plain(factor)})' for i, j, factor in said.coupling)}")
     return listed("Conventions(", parts, ")", 4, taken=len("conventions="))

@@ -12,12 +12,12 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 
 from casacal.errors import ProblemError
-from casacal.problem.compile import RowModel, compile_rows, residual_noise, row_function
+from casacal.problem.compile import RowModel, compile_rows, row_function
 from casacal.problem.term import Term
 from casacal.problem.trace import Trace
 from casacal.values import FrozenMapping, alike, short
@@ -46,11 +46,6 @@ class Symbols(Trace):
         return tuple(unit for unknown in self.unknowns.values() for unit in unknown.units)
 
     @cached_property
-    def noise(self) -> ca.SX:
-        """Standard deviation w (m) of e: errors of joints and columns carried by its slope, beside its own."""
-        return residual_noise(self)
-
-    @cached_property
     def functions(self) -> Mapping[str, ca.Function]:
         """Compiled functions of one row, (z, c, d) -> residual, jacobian, noise, tip, pose: each by its name."""
         outputs = {name: getattr(self, name) for name in ("residual", "jacobian", "noise", "tip", "pose")}
@@ -68,10 +63,8 @@ class Symbols(Trace):
         free, built = self.free
         for name in (*free, *self.columns):
             if name == "q" or not ca.Function.check_name(name):
-                raise ProblemError(
-                    f"'{name}' cannot name an input of a CasADi function",
-                    "Rename it: letters, digits and single _, and not q, null, jac or hess",
-                )
+                fix = "Rename it: letters, digits and single _, and not q, null, jac or hess"
+                raise ProblemError(f"'{name}' cannot name an input of a CasADi function", fix)
         robot = {key: free[key] for key in self.robot.parameters}
         row = {"q": self.q, **self.columns}
         beside = {k: symbol for k, symbol in {**free, **row}.items() if k not in robot and k != "q"}
@@ -93,25 +86,24 @@ class Symbols(Trace):
         """
         prefix = re.sub(r"\W+", "_", self.robot.name, flags=re.ASCII).strip("_").lower() if prefix is None else prefix
         if not re.fullmatch(r"[A-Za-z]([A-Za-z0-9]|_(?!_))*", prefix):
-            raise ProblemError(
-                f"'{prefix}' cannot begin the name of a C function", "Give a prefix of letters, digits and single _"
-            )
+            what = f"'{prefix}' cannot begin the name of a C function"
+            raise ProblemError(what, "Give a prefix of letters, digits and single _")
         generator, wrappers, told = ca.CodeGenerator(f"{prefix}_code", {"with_header": False}), "", ""
-        for part in _parts(self):
-            made = {name: ca.densify(ca.vec(matrix)) for name, matrix in part.outputs.items()}
-            raw = f"{prefix}_{part.name}_raw"
-            function = row_function(raw, [*part.inputs.values()], [*made.values()])
+        for name, inputs, outputs, words in _parts(self):
+            made = {key: ca.densify(ca.vec(matrix)) for key, matrix in outputs.items()}
+            raw = f"{prefix}_{name}_raw"
+            function = row_function(raw, [*inputs.values()], [*made.values()])
             generator.add(function)
-            given = [f"const double {key}[{max(symbol.numel(), 1)}]" for key, symbol in part.inputs.items()]
+            given = [f"const double {key}[{max(symbol.numel(), 1)}]" for key, symbol in inputs.items()]
             given += [f"double {key}[{matrix.numel()}]" for key, matrix in made.items()]
-            signature = f"void {prefix}_{part.name}({', '.join(given)})"
+            signature = f"void {prefix}_{name}({', '.join(given)})"
             wrappers += (
                 f"\n{signature} {{\n"
-                f"  const double* arg[{max(function.sz_arg(), 1)}] = {{{', '.join(part.inputs)}}};\n"
-                f"  double* res[{max(function.sz_res(), 1)}] = {{{', '.join(part.outputs)}}};\n"
+                f"  const double* arg[{max(function.sz_arg(), 1)}] = {{{', '.join(inputs)}}};\n"
+                f"  double* res[{max(function.sz_res(), 1)}] = {{{', '.join(outputs)}}};\n"
                 f"  {raw}(arg, res, 0, 0, 0);\n}}\n"
             )
-            told += f" * {signature};\n *     {part.words}\n"
+            told += f" * {signature};\n *     {words}\n"
         return _head(self, told) + str(generator.dump()) + wrappers
 
     def __eq__(self, other: object) -> bool:
@@ -168,17 +160,8 @@ def _shape(expression: Any) -> str:
     return str(rows) if columns == 1 else f"{rows}x{columns}"
 
 
-class _CFunction(NamedTuple):
-    """A function in C: name, inputs and outputs by name, and what it gives."""
-
-    name: str
-    inputs: dict[str, ca.SX]
-    outputs: dict[str, ca.SX]
-    words: str
-
-
-def _parts(traced: Trace) -> list[_CFunction]:
-    """Functions of values p; and of deviations z with constants c, as estimators use them."""
+def _parts(traced: Trace) -> list[tuple[str, dict[str, ca.SX], dict[str, ca.SX], str]]:
+    """Functions of values p, and of deviations z with constants c: name, inputs, outputs, and what each gives."""
     symbols, built = traced.free
     q, zc = {"q": traced.q}, {"z": traced.z, "c": traced.c}
     row = {"row": ca.vertcat(*traced.columns.values(), ca.SX(0, 1))}
@@ -186,14 +169,12 @@ def _parts(traced: Trace) -> list[_CFunction]:
     at = ca.vertcat(*(ca.vec(ca.SX(u.packed(getattr(traced.p, key)))) for key, u in traced.unknowns.items()))
     slopes = {"residual": traced.residual, "jacobian": traced.jacobian.T}
     return [
-        _CFunction("values", zc, {"p": at}, "the values p at deviations z from nominal"),
-        _CFunction("pose", p | q, {"pose": ca.SX(built.pose).T}, "flange pose, 4 x 4, row by row"),
-        _CFunction(
-            "tip", p | q | row, {"tip": built.tip}, "where the instrument touches or is watched, mm, base frame"
-        ),
-        _CFunction("residual", p | q | row, {"residual": built.residual}, "the residual e of one row"),
-        _CFunction("jacobian", zc | q | row, slopes, "e and its derivative by z, row by row"),
-        _CFunction("noise", zc | q | row, {"noise": residual_noise(traced)}, "standard deviation of e"),
+        ("values", zc, {"p": at}, "the values p at deviations z from nominal"),
+        ("pose", p | q, {"pose": ca.SX(built.pose).T}, "flange pose, 4 x 4, row by row"),
+        ("tip", p | q | row, {"tip": built.tip}, "where the instrument touches or is watched, mm, base frame"),
+        ("residual", p | q | row, {"residual": built.residual}, "the residual e of one row"),
+        ("jacobian", zc | q | row, slopes, "e and its derivative by z, row by row"),
+        ("noise", zc | q | row, {"noise": traced.noise}, "standard deviation of e"),
     ]
 
 

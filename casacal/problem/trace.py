@@ -47,16 +47,21 @@ class Trace(Value):
     terms: tuple[Term, ...] = ()
 
     @cached_property
+    def site(self) -> Site:
+        """Where its terms stand."""
+        return Site(self.robot, self.instrument)
+
+    @cached_property
     def acting(self) -> tuple[Term, ...]:
         """Those of the terms that mean something to this robot and instrument."""
-        return tuple(term for term in self.terms if term.unknowns(Site(self.robot, self.instrument)))
+        return tuple(term for term in self.terms if term.unknowns(self.site))
 
     @cached_property
     def unknowns(self) -> Mapping[str, Unknown]:
         """Of the robot, then of the instrument, then of the terms."""
         found: dict[str, Unknown] = {**self.robot.parameters, **self.instrument.unknowns}
         for term in self.acting:
-            found |= term.unknowns(Site(self.robot, self.instrument))
+            found |= term.unknowns(self.site)
         return FrozenMapping(found)
 
     @cached_property
@@ -98,7 +103,7 @@ class Trace(Value):
     @cached_property
     def columns(self) -> Mapping[str, ca.SX]:
         """The row's columns by name: those that are read, those known from labels, those that terms ask for."""
-        beside = (name for term in self.acting for name in term.columns(Site(self.robot, self.instrument)))
+        beside = (name for term in self.acting for name in term.columns(self.site))
         names = dict.fromkeys((*self.instrument.columns, *self.instrument.known_columns, *beside))
         return FrozenMapping({name: ca.SX.sym(name) for name in names})
 
@@ -122,19 +127,18 @@ class Trace(Value):
         robot, instrument, columns, q = self.robot, self.instrument, self.columns, self.q
         p, row, kind = SimpleNamespace(**values), SimpleNamespace(**columns), type(instrument).__name__
         pose = robot.flange(p, q)
+        here = Here(robot, instrument, p, q, pose, row)
         if self.acting:
-            pose, row = _with_terms(Here(robot, instrument, p, q, pose, row), self.acting, columns)
+            pose, row = _with_terms(here, self.acting)
         residual = traced(instrument.residual, "residual", kind, None, pose, p, row)
-        here = Here(robot, instrument, p, q, pose, SimpleNamespace(**columns))
+        here = replace(here, pose=pose)
         for term in self.acting:
             found = traced(term.residual, "residual", term.words, None, here, optional=True)
             residual += _in_its_unit(instrument, residual, found, term.words)
         read = list(instrument.columns)
         if read and not any(ca.depends_on(ca.SX(residual), columns[name]) for name in read):
-            raise ProblemError(
-                f"The residual of {kind} does not depend on what it reads, its column '{read[0]}'",
-                f"Use {', '.join(f'row.{name}' for name in read)}, or declare no columns",
-            )
+            what = f"The residual of {kind} does not depend on what it reads, its column '{read[0]}'"
+            raise ProblemError(what, f"Use {', '.join(f'row.{name}' for name in read)}, or declare no columns")
         tip = traced(instrument.tip, "tip", kind, (3, 1), pose, p, row)
         plunger = traced(instrument.plunger_direction, "plunger_direction", kind, (3, 1), pose, p, optional=True)
         return RowExpressions(pose, tip, residual, ca.SX(plunger) if plunger.numel() else None)
@@ -163,8 +167,39 @@ class Trace(Value):
     def raw(self) -> tuple[ca.SX, ca.SX]:
         """Raw coordinates v, which only the IPOPT reference uses, and the residual (m) at them."""
         raw = {key: ca.SX.sym(key, unknown.raw_size) for key, unknown in self.unknowns.items()}
-        p = {key: unknown.raw_value(self.nominals[key], raw[key]) for key, unknown in self.unknowns.items()}
-        return ca.vertcat(*raw.values()), self.at(p).residual
+        free = {key: unknown for key, unknown in self.unknowns.items() if unknown.size}
+        values = {key: unknown.raw_value(self.nominals[key], raw[key]) for key, unknown in free.items()}
+        return ca.vertcat(*raw.values()), self.at(vars(self.p) | values).residual
+
+    @cached_property
+    def noise(self) -> ca.SX:
+        """Standard deviation w (m) of e: errors of joints and columns carried by its slope, beside its own."""
+        variance = ca.SX(ca.vertcat(*self._own_variances()))
+        for name, std in self.instrument.column_stds.items():
+            variance += (ca.jacobian(self.residual, self.columns[name]) * std) ** 2
+        for j, joint in enumerate(self.robot.axes):
+            if joint.repeatability_std > 0:
+                variance += (ca.jacobian(self.residual, self.q[j]) * joint.repeatability_std) ** 2
+        return ca.SX(ca.sqrt(variance))
+
+    def _own_variances(self) -> list[ca.SX]:
+        """Variance of each component by itself; raises ProblemError where blocks are not those of the residual."""
+        instrument, components, columns = self.instrument, self.residual.numel(), self.columns
+        if not instrument.blocks:
+            return [ca.SX(instrument.residual_std**2)] * components
+        name, total = type(instrument).__name__, sum(block.size for block in instrument.blocks)
+        if total != components:
+            fix = "Give each component a block"
+            raise ProblemError(f"The blocks of {name} hold {total} residuals, and it has {components}", fix)
+        found = []
+        for block in instrument.blocks:
+            if isinstance(block.std, str) and block.std not in columns:
+                said = f"declared to be in the column '{block.std}', which it does not read"
+                fix = f"Its columns: {', '.join(columns) or 'none'}"
+                raise ProblemError(f"The noise of '{block.name}' of {name} is {said}", fix)
+            std = columns[block.std] if isinstance(block.std, str) else ca.SX(block.std)
+            found += [std**2] * block.size
+        return found
 
     @cached_property
     def free(self) -> tuple[Mapping[str, ca.SX], RowExpressions]:
@@ -174,15 +209,14 @@ class Trace(Value):
         return symbols, self.at({key: self.unknowns[key].unpacked(symbol) for key, symbol in symbols.items()})
 
 
-def _with_terms(here: Here, terms: Sequence[Term], columns: Mapping[str, ca.SX]) -> tuple[Expression, SimpleNamespace]:
+def _with_terms(here: Here, terms: Sequence[Term]) -> tuple[Expression, SimpleNamespace]:
     """Flange pose and row as they truly are, where joints, flange and readings err."""
-    robot, count = here.robot, len(here.robot.axes)
     off = [traced(term.joints, "joints", term.words, None, here, optional=True) for term in terms]
-    moved = [each for each in off if each.numel() == count]
+    moved = [each for each in off if each.numel() == len(here.robot.axes)]
     if moved:
-        q = here.q + sum(moved, ca.SX.zeros(count))
-        here = replace(here, pose=robot.flange(here.p, q))
-    read = dict(columns)
+        q = here.q + sum(moved, ca.SX.zeros(len(here.robot.axes)))
+        here = replace(here, pose=here.robot.flange(here.p, q))
+    read = dict(vars(here.row))
     for term in terms:
         if (changed := term.pose(here)) is not None:
             here = replace(here, pose=changed)
@@ -194,13 +228,13 @@ def _with_terms(here: Here, terms: Sequence[Term], columns: Mapping[str, ca.SX])
 def _in_its_unit(instrument: Instrument, residual: Expression, found: ca.SX, words: str) -> Any:
     """What a term adds to the components in the unit in which the instrument speaks; nothing to others."""
     units = [block.unit for block in instrument.blocks for _ in range(block.size)]
-    alike = [unit == instrument.words.unit for unit in units]
-    if len(alike) != residual.numel():
-        alike = [True] * residual.numel()
-    if found.numel() in (0, 1):  # nothing at all, or all components alike
-        return ca.DM([float(each) for each in alike]) * ca.sum1(found)
-    if found.numel() != sum(alike):
+    places = [k for k, unit in enumerate(units) if unit == instrument.words.unit]
+    if len(units) != residual.numel():
+        places = list(range(residual.numel()))
+    if found.numel() > 1 and found.numel() != len(places):
         what = f"residual of '{words}' has {found.numel()} components"
-        raise ProblemError(what, f"It must have one, or the {sum(alike)} of the instrument's residual")
-    each = iter(range(found.numel()))
-    return ca.vertcat(*(found[next(each)] if one else 0 for one in alike))
+        raise ProblemError(what, f"It must have one, or the {len(places)} of the instrument's residual")
+    added = ca.SX.zeros(residual.numel())
+    if found.numel() and places:
+        added[places] = found  # one for all is spread over them
+    return added

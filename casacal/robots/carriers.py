@@ -40,7 +40,7 @@ def carried(arm: Robot, *, by: Robot, name: str | None = None) -> Robot:
     before = CARRIER
     while any(before + key in arm.parameters for key in by.parameters):  # a carrier of a carrier
         before += CARRIER
-    parameters = {**{before + key: unknown for key, unknown in by.parameters.items()}, **arm.parameters}
+    parameters = {before + key: unknown for key, unknown in by.parameters.items()} | dict(arm.parameters)
     pose = Carried(arm.pose, by.pose, tuple(by.parameters), len(by.axes), before)
     return Robot(name or f"{arm.name} on {by.name}", (*by.axes, *arm.axes), pose, parameters)
 
@@ -69,9 +69,8 @@ def rail(
     if not (is_real(lower) and is_real(upper) and LEAST_TRAVEL <= upper - lower <= MOST_TRAVEL):
         fix = f"Give its travel in mm, {LEAST_TRAVEL:g} to {MOST_TRAVEL:g} of them"
         raise ProblemError(f"A rail goes from {lower!r} to {upper!r}", fix)
-    tilt = PRIOR_STD["rad"] if angle_std is None else angle_std
     parameters = {
-        "direction": Direction(direction, prior_std=tilt),
+        "direction": Direction(direction, prior_std=PRIOR_STD["rad"] if angle_std is None else angle_std),
         "scale": Parameter(0.0, unit="mm/m", prior_std=scale_std),
     }
     return Robot(name, (Joint("prismatic", lower, upper),), _along, parameters)
@@ -103,11 +102,9 @@ def turntable(
     if not (is_real(lower) and is_real(upper) and 0 < upper - lower <= MOST_TURNS * 2 * math.pi):
         fix = f"Give its limits in rad, such as *deg(-180, 180), at most {MOST_TURNS} turns apart"
         raise ProblemError(f"A turntable goes from {lower!r} to {upper!r}", fix)
-    tilt = PRIOR_STD["rad"] if angle_std is None else angle_std
-    place = PRIOR_STD["mm"] if length_std is None else length_std
     parameters = {
-        "axis": Direction(axis, prior_std=tilt),
-        "point": Parameter(tuple(point), unit="mm", prior_std=place, labels=("_x", "_y", "_z")),
+        "axis": Direction(axis, prior_std=PRIOR_STD["rad"] if angle_std is None else angle_std),
+        "point": Parameter(tuple(point), unit="mm", prior_std=length_std, labels=("_x", "_y", "_z")),
     }
     return Robot(name, (Joint("revolute", lower, upper),), _about, parameters)
 

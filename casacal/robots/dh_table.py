@@ -7,7 +7,8 @@ import math
 import re
 import sys
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -17,7 +18,7 @@ import numpy as np
 
 from casacal.errors import ProblemError, SamplesError
 from casacal.kinematics import Expression, chain, dh, hayati, modified_dh, rotate_x, rotate_y, rotate_z, translate
-from casacal.robots.joints import Conventions, Joint
+from casacal.robots.joints import MOST_JOINTS, Conventions, Joint
 from casacal.tables.text import LINE_END, NUMBER, decode, read_table
 from casacal.unknowns import Parameter, Unknown
 from casacal.unknowns.unknown import spread
@@ -54,12 +55,11 @@ class DHTable:
 
     def __post_init__(self) -> None:
         count = len(self.alpha)
-        if not len(self.a) == len(self.d) == len(self.theta) == len(self.joints) == count:
-            raise ProblemError(
-                f"The DH table of '{self.name}' has {len(self.alpha)} alpha, {len(self.a)} a, {len(self.d)} d, "
-                f"{len(self.theta)} theta for {len(self.joints)} joints",
-                "Give one of each per joint",
-            )
+        sizes = {key: len(getattr(self, key)) for key in ("alpha", "a", "d", "theta")}
+        if {*sizes.values()} != {len(self.joints)}:
+            has = ", ".join(f"{size} {key}" for key, size in sizes.items())
+            what = f"The DH table of '{self.name}' has {has} for {len(self.joints)} joints"
+            raise ProblemError(what, "Give one of each per joint")
         if self.convention not in ("standard", "modified"):
             raise ProblemError(f"The DH convention is '{self.convention}'", "Use 'standard' or 'modified'")
         if not self.beta:
@@ -74,12 +74,10 @@ class DHTable:
             what = f"The DH table of '{self.name}' has {len(self.beta)} beta for {len(rows)} parallel rows"
             raise ProblemError(what, "Give one beta for each row named in parallel")
         for row in rows:
-            if abs(math.sin(self.twist(row))) > math.sin(NEARLY):
-                raise ProblemError(
-                    f"Row {row} of '{self.name}' is declared parallel, but its axis and the next one make "
-                    f"{math.degrees(self.twist(row)):g} degrees",
-                    "Name only rows whose axis is parallel to the next one; rows are counted from 1",
-                )
+            if row not in self.parallel_axes():
+                make = f"its axis and the next one make {math.degrees(self.twist(row)):g} degrees"
+                fix = "Name only rows whose axis is parallel to the next one; rows are counted from 1"
+                raise ProblemError(f"Row {row} of '{self.name}' is declared parallel, but {make}", fix)
 
     def twist(self, row: int) -> float:
         """Nominal angle, rad, between the axis of a row (from 1) and the next one."""
@@ -92,16 +90,15 @@ class DHTable:
     def pose(self, p: Any, q: Expression) -> Expression:
         """Flange pose (4x4, mm) at `p.alpha`, `p.a`, `p.d`, `p.theta` (and `p.beta`) and joint values q."""
         q = q if self.conventions is None else self.conventions.to_model(q)
-        links = []
+        links, standard = [], self.convention == "standard"
         for i, joint in enumerate(self.joints):
-            turns = joint.turns
-            d, theta = p.d[i] + (0 if turns else q[i]), p.theta[i] + (q[i] if turns else 0)
-            between = i + 1 if self.convention == "standard" else i  # the row whose twist stands in this link
+            d, theta = p.d[i] + (0 if joint.turns else q[i]), p.theta[i] + (q[i] if joint.turns else 0)
+            between = i + 1 if standard else i  # the row whose twist stands in this link
             if between not in self.parallel:
-                links.append((dh if self.convention == "standard" else modified_dh)(p.alpha[i], p.a[i], d, theta))
+                links.append((dh if standard else modified_dh)(p.alpha[i], p.a[i], d, theta))
                 continue
             beta = p.beta[self.parallel.index(between)]
-            if self.convention == "standard":
+            if standard:
                 links.append(chain(translate(0, 0, d), hayati(p.alpha[i], beta, p.a[i], theta)))
             else:
                 tilt = chain(rotate_x(p.alpha[i]), translate(p.a[i], 0, 0), rotate_y(beta))
@@ -111,29 +108,20 @@ class DHTable:
     def parameters(self, length_std: Stds, angle_std: Stds, twist_std: Stds) -> dict[str, Unknown]:
         """The unknowns alpha, a, d, theta, and beta where axes are parallel; see `Robot.from_dh`."""
         twist_std = angle_std if twist_std is None else twist_std
+        free = tuple(row not in self.parallel for row in range(1, len(self.d) + 1)) if self.parallel else True
         found: dict[str, Unknown] = {
             "alpha": Parameter(self.alpha, unit="rad", prior_std=twist_std),
             "a": Parameter(self.a, unit="mm", prior_std=length_std),
-            "d": Parameter(self.d, unit="mm", prior_std=length_std),
+            "d": Parameter(self.d, unit="mm", prior_std=length_std, free=free),
             "theta": Parameter(self.theta, unit="rad", prior_std=angle_std),
         }
-        if not self.parallel:
-            return found
-        free = tuple(row not in self.parallel for row in range(1, len(self.d) + 1))
-        found["d"] = Parameter(self.d, unit="mm", prior_std=length_std, free=free)
-        shift = 1 if self.convention == "standard" else 0  # where the twist beside each beta stands
-        beside = None
-        if twist_std is not None:
-            stds = spread(twist_std, len(self.alpha), "twist_std")
-            beside = tuple(float(stds[row - shift]) for row in self.parallel)
-        labels = tuple(str(int(row)) for row in self.parallel)
-        found["beta"] = Parameter(self.beta, unit="rad", prior_std=beside, labels=labels)
+        if self.parallel:
+            shift = 1 if self.convention == "standard" else 0  # where the twist beside each beta stands
+            stds = None if twist_std is None else spread(twist_std, len(self.alpha), "twist_std")
+            beside = None if stds is None else [float(stds[row - shift]) for row in self.parallel]
+            labels = tuple(str(int(row)) for row in self.parallel)
+            found["beta"] = Parameter(self.beta, unit="rad", prior_std=beside, labels=labels)
         return found
-
-    def in_other_convention(self) -> DHTable:
-        """The same numbers read by the other convention, which makes another arm of them."""
-        other: Any = "modified" if self.convention == "standard" else "standard"
-        return replace(self, convention=other, parallel=(), beta=())
 
     def at(self, p: Any) -> DHTable:
         """Copy with the numbers of `p`, such as those of a calibration."""
@@ -166,70 +154,78 @@ ROW_FIELDS = (
     *(f"{side}_{unit}" for side in ("lower", "upper") for unit in (*ANGLE, *LENGTH)),
 )
 OFFSETS = tuple(f"offsets_{unit}" for unit in (*ANGLE, *LENGTH))
-BLOCK_FIELDS = ("name", "convention", "parallel", "signs", *OFFSETS, "coupling")
+LIKE = {"parallel": "[1, 2]", "signs": "[1, 2]", **dict.fromkeys(OFFSETS, "[0.0, 90.0]"), "coupling": "[[3, 2, -1.0]]"}
+"""Lists that say something of all joints, and what each looks like in TOML."""
+BLOCK_FIELDS = ("name", "convention", *LIKE)
 MISNAMED = {"type": "kind", "joint_type": "kind"}  # what other tables call a field that is called otherwise here
 HALF_TURN = math.pi * (1 + 1e-6)
 KINDS = {"revolute": "revolute", "r": "revolute", "prismatic": "prismatic", "p": "prismatic"}
 
 
-@dataclass(frozen=True)
-class Fields:
-    """A file's block and rows as read, numbers as numbers; `places` say where each row stands in the file."""
-
-    file: str
-    block: Mapping[str, Any]
-    rows: tuple[Row, ...]
-    places: tuple[str, ...]
+FileRows: TypeAlias = list[tuple[str, Row]]
+"""Rows of a file as read, numbers as numbers, each with where it stands: "arm.csv, line 3"."""
 
 
-def table_of(fields: Fields) -> DHTable:
-    """The DH table that a file's fields make; raises ProblemError that names the file and the place."""
-    convention = fields.block.get("convention")
+def table_of(file: str, block: Mapping[str, Any], rows: FileRows) -> DHTable:
+    """The DH table that a file's block and rows make; raises ProblemError that names the file and the place."""
+    convention = block.get("convention")
     if convention not in ("standard", "modified"):
         came = "does not say its convention" if convention is None else f"has the convention '{convention}'"
         fix = "Say standard or modified (Craig's): '# convention: standard' above a CSV's header, 'convention' in TOML"
-        raise ProblemError(f"{fields.file}: the file {came}", fix)
-    if not fields.rows:
-        raise ProblemError(f"{fields.file}: there is no joint", "Give one row per joint")
-    for row, place in zip(fields.rows, fields.places, strict=True):
-        check_names(row, ROW_FIELDS, f"{fields.file}, {place}")
-    columns = {
-        field: tuple(
-            quantity(row, field, UNITS[field], f"{fields.file}, {place}")
-            for row, place in zip(fields.rows, fields.places, strict=True)
-        )
+        raise ProblemError(f"{file}: the file {came}", fix)
+    if not rows:
+        raise ProblemError(f"{file}: there is no joint", "Give one row per joint")
+    for where, row in rows:
+        check_names(row, ROW_FIELDS, where)
+    columns: dict[str, Any] = {
+        field: tuple(quantity(row, field, UNITS[field], where) for where, row in rows)
         for field in ("alpha", "a", "d", "theta")
     }
     largest = max(abs(value) for key in ("a", "d") for value in columns[key])
     if 0 < largest < 5 or largest > 20_000:  # no arm: lengths given in the wrong unit
         unit = "m" if largest < 5 else "mm"
         fix = f"Name a and d by their unit: a_{unit}, d_{unit}"
-        raise ProblemError(f"{fields.file}: the largest length is {largest:g} mm", fix)
-    joints = tuple(joint_of(fields, i) for i in range(len(fields.rows)))
-    parallel, beta = _parallel(fields)
-    conventions = conventions_of(fields, joints)
-    try:
+        raise ProblemError(f"{file}: the largest length is {largest:g} mm", fix)
+    joints = tuple(joint_of(row, where, i) for i, (where, row) in enumerate(rows, 1))
+    parallel = tuple(block.get("parallel", ()))
+    beta = dict.fromkeys(parallel, 0.0)
+    for i, (where, row) in enumerate(rows, 1):
+        if any(f"beta_{unit}" in row for unit in ANGLE):
+            given = quantity(row, "beta", ANGLE, where)
+            if given and i not in parallel:
+                fix = "Name it there, if its axis is parallel to the next one"
+                raise ProblemError(f"{where}: row {i} has beta but is not named in parallel", fix)
+            beta[i] = given
+    conventions = conventions_of(file, block, joints)
+    with _located(file):
         return DHTable(
-            name=fields.block.get("name") or fields.file.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0],
+            name=block.get("name") or file.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0],
             joints=joints,
             convention=convention,
             parallel=parallel,
-            beta=beta,
+            beta=tuple(beta[i] for i in parallel),
             conventions=conventions,
-            **columns,  # type: ignore[arg-type]
+            **columns,
         )
+
+
+@contextmanager
+def _located(where: str) -> Iterator[None]:
+    """Put a place before what a ProblemError says."""
+    try:
+        yield
     except ProblemError as error:
-        raise ProblemError(f"{fields.file}: {error.what}", error.fix) from None
+        raise ProblemError(f"{where}: {error.what}", error.fix) from None
 
 
-def conventions_of(fields: Fields, joints: Sequence[Joint]) -> Conventions | None:
+def conventions_of(file: str, block: Mapping[str, Any], joints: Sequence[Joint]) -> Conventions | None:
     """What the controller's joints mean, or None where the file says nothing of it."""
-    block, count = fields.block, len(joints)
+    count = len(joints)
     if not {"signs", *OFFSETS, "coupling"} & set(block):
         return None
     for name in ("signs", *OFFSETS):
         if name in block and len(block[name]) != count:
-            what = f"{fields.file}: {name} has {len(block[name])} numbers for {count} joints"
+            what = f"{file}: {name} has {len(block[name])} numbers for {count} joints"
             raise ProblemError(what, "Give one per joint")
     signs, coupling = block.get("signs", [1] * count), block.get("coupling", [])
     offsets = [0.0] * count
@@ -237,20 +233,15 @@ def conventions_of(fields: Fields, joints: Sequence[Joint]) -> Conventions | Non
         values = block.get(f"offsets_{unit}", [0.0] * count)
         for i, (value, joint) in enumerate(zip(values, joints, strict=True)):
             if value and (unit in ANGLE) != (joint.turns):
-                what = f"{fields.file}: offsets_{unit} gives {value:g} for joint {i + 1}, which is {joint.kind}"
+                what = f"{file}: offsets_{unit} gives {value:g} for joint {i + 1}, which is {joint.kind}"
                 fix = "Give offsets of turning joints in deg or rad, of sliding ones in mm or m; zero for the others"
                 raise ProblemError(what, fix)
             offsets[i] += value * {**ANGLE, **LENGTH}[unit]
-    try:
-        made = Conventions(
-            tuple(int(s) if s in (1, -1) else s for s in signs),
-            tuple(offsets),
-            tuple((int(i), int(j), float(f)) for i, j, f in coupling),
-        )
+    with _located(file):
+        whole = tuple(int(sign) if sign in (1, -1) else sign for sign in signs)
+        made = Conventions(whole, tuple(offsets), tuple((int(i), int(j), float(f)) for i, j, f in coupling))
         made.check_joints(count, "The table")
-    except ProblemError as error:
-        raise ProblemError(f"{fields.file}: {error.what}", error.fix) from None
-    return made
+        return made
 
 
 def quantity(row: Row, field: str, units: Mapping[str, float], where: str) -> float:
@@ -275,11 +266,10 @@ def quantity(row: Row, field: str, units: Mapping[str, float], where: str) -> fl
     return value * units[unit]
 
 
-def joint_of(fields: Fields, i: int) -> Joint:
-    """The joint of row i (from 0), with its limits where the row has them."""
-    row, where = fields.rows[i], f"{fields.file}, {fields.places[i]}"
-    if "joint" in row and row["joint"] != i + 1:
-        raise ProblemError(f"{where}: this is joint {row['joint']:g}", f"Number joints from 1; here {i + 1} is due")
+def joint_of(row: Row, where: str, number: int) -> Joint:
+    """The joint of a row, numbered from 1, with its limits where the row has them."""
+    if row.get("joint", number) != number:
+        raise ProblemError(f"{where}: this is joint {row['joint']:g}", f"Number joints from 1; here {number} is due")
     kind = KINDS.get(str(row.get("kind", "revolute")).lower())
     if kind is None:
         raise ProblemError(f"{where}: the kind is '{row['kind']}'", "Use revolute or prismatic (R, P)")
@@ -292,10 +282,8 @@ def joint_of(fields: Fields, i: int) -> Joint:
         bound = math.pi if kind == "revolute" else 1000.0
         return Joint(kind, -bound, bound)  # type: ignore[arg-type]
     lower, upper = (quantity(row, side, units, where) for side in ("lower", "upper"))
-    try:
+    with _located(where):
         return Joint(kind, lower, upper)  # type: ignore[arg-type]
-    except ProblemError as error:
-        raise ProblemError(f"{where}: {error.what}", error.fix) from None
 
 
 def check_names(names: Row, known: Sequence[str], where: str) -> None:
@@ -310,53 +298,26 @@ def check_names(names: Row, known: Sequence[str], where: str) -> None:
             raise ProblemError(f"{where}: there is no field '{name}'", f"{hint}Known: {', '.join(known)}")
 
 
-def _parallel(fields: Fields) -> tuple[tuple[int, ...], tuple[float, ...]]:
-    """Parallel rows and their beta."""
-    rows = tuple(fields.block.get("parallel", ()))
-    beta = {}
-    for i, (row, place) in enumerate(zip(fields.rows, fields.places, strict=True), 1):
-        if any(f"beta_{unit}" in row for unit in ANGLE):
-            beta[i] = quantity(row, "beta", ANGLE, f"{fields.file}, {place}")
-            if beta[i] and i not in rows:
-                fix = "Name it there, if its axis is parallel to the next one"
-                raise ProblemError(f"{fields.file}, {place}: row {i} has beta but is not named in parallel", fix)
-    return rows, tuple(beta.get(row, 0.0) for row in rows)
-
-
 ENTRY = re.compile(r"\s*#\s*(\w+)\s*:\s*(.*?)\s*")
 COLUMNS = (
-    "joint",
-    "alpha_deg",
-    "a_mm",
-    "d_mm",
-    "theta_deg",
-    "beta_deg",
-    "kind",
-    "lower_deg",
-    "upper_deg",
-    "lower_mm",
-    "upper_mm",
+    *("joint", "alpha_deg", "a_mm", "d_mm", "theta_deg", "beta_deg", "kind"),
+    *("lower_deg", "upper_deg", "lower_mm", "upper_mm"),
 )
 """Of a CSV that is written, as far as the table has them."""
 
 
 def read_dh_file(path: str | Path) -> DHTable:
-    """Read a DH table, as TOML when the name ends in .toml, else as CSV.
-
-    Raises ProblemError that names the file, the line or joint, and what to do.
-    """
-    return table_of(read_toml(path) if is_toml(path) else read_csv(path))
+    """Read a DH table, as TOML when the name ends in .toml, else as CSV; raises ProblemError that names the place."""
+    return table_of(str(path), *(read_toml(path) if is_toml(path) else read_csv(path)))
 
 
 def unread_keys(path: str | Path) -> tuple[str, ...]:
     """Keys in comments of a CSV that mean nothing, such as `units` of '# units: m', each once; none in TOML."""
-    found = (
-        ()
-        if is_toml(path)
-        else (ENTRY.fullmatch(line) for line in decode(Path(path).read_bytes(), str(path)).splitlines())
-    )
-    unread = dict.fromkeys(each[1] for each in found if each and each[1] not in BLOCK_FIELDS)
-    return tuple(key for key in unread if key != "casacal")  # what exports say of themselves
+    if is_toml(path):
+        return ()
+    found = map(ENTRY.fullmatch, decode(Path(path).read_bytes(), str(path)).splitlines())
+    known = (*BLOCK_FIELDS, "casacal")  # the latter is what exports say of themselves
+    return tuple(dict.fromkeys(each[1] for each in found if each and each[1] not in known))
 
 
 def dh_file_text(table: DHTable, path: str | Path) -> str:
@@ -366,14 +327,12 @@ def dh_file_text(table: DHTable, path: str | Path) -> str:
         lines = [f"name = {json.dumps(table.name, ensure_ascii=False)}", f'convention = "{table.convention}"']
         if table.parallel:
             lines.append(f"parallel = {list(table.parallel)}")
-        text = "\n".join(lines) + "\n"
         if table.conventions is not None:
-            text += "\n" + conventions_toml(table.conventions, table.joints)
+            lines += ["", conventions_toml(table.conventions, table.joints).rstrip("\n")]
         for row in rows:
-            kind = f'kind = "{row["kind"]}"'
-            numbers = [f"{key} = {value}" for key, value in row.items() if key not in ("joint", "kind")]
-            text += "\n".join(["", "[[joint]]", kind, *numbers, ""])
-        return text
+            numbers = (f"{key} = {value}" for key, value in row.items() if key not in ("joint", "kind"))
+            lines += ["", "[[joint]]", f'kind = "{row["kind"]}"', *numbers]
+        return "\n".join(lines) + "\n"
     lines = [f"# name: {table.name}", f"# convention: {table.convention}"]
     if table.parallel:
         lines.append(f"# parallel: {', '.join(map(str, table.parallel))}")
@@ -390,25 +349,23 @@ def is_toml(path: str | Path) -> bool:
     return Path(path).suffix.lower() == ".toml"
 
 
-def read_csv(path: str | Path) -> Fields:
-    """Fields of a CSV; raises ProblemError that names file and line."""
+def read_csv(path: str | Path) -> tuple[dict[str, Any], FileRows]:
+    """Block and rows of a CSV; raises ProblemError that names file and line."""
     try:
         table = read_table(path)
     except SamplesError as error:
         fix = error.fix.replace("one line per sample", "one line per joint")
         raise ProblemError(error.what, fix) from None
-    rows: list[dict[str, Any]] = []
+    rows: FileRows = []
     check_names(dict.fromkeys(table.header), ROW_FIELDS, f"{table.file}, header")  # before their cells are read
     for cells, line in zip(table.rows, table.lines, strict=True):
-        row: dict[str, Any] = {}
+        row, where = dict[str, Any](), f"{table.file}, line {line}"
         for name, cell in zip(table.header, cells, strict=True):
-            if not cell:
-                continue
             text = cell.replace(",", ".") if table.decimal_comma else cell
-            row[name] = text if name in ("kind", "note") else _number(text, f"{table.file}, line {line}, '{name}'")
-        rows.append(row)
-    places = tuple(f"line {line}" for line in table.lines)
-    return Fields(table.file, _block(decode(Path(path).read_bytes(), str(path)), table.file), tuple(rows), places)
+            if text:
+                row[name] = text if name in ("kind", "note") else _number(text, f"{where}, '{name}'")
+        rows.append((where, row))
+    return _block(decode(Path(path).read_bytes(), table.file), table.file), rows
 
 
 def _block(text: str, file: str) -> dict[str, Any]:
@@ -427,29 +384,20 @@ def _block(text: str, file: str) -> dict[str, Any]:
             continue
         if key in block:
             raise ProblemError(f"{where}: '{key}' comes a second time", "Leave one of them")
-        block[key] = _value(key, value, where)
+        block[key] = value
+        if key == "coupling":  # 'i j factor' between semicolons
+            block[key] = [_numbers(entry, where) for entry in value.split(";") if entry.strip()]
+        elif key not in ("name", "convention"):
+            block[key] = _numbers(value, where)
+        if key in LIKE and not _sound(key, block[key]):
+            fix = "Write joint, joint and factor, such as 3 2 -1" if key == "coupling" else "Give whole numbers"
+            raise ProblemError(f"{where}: {key} is '{value}'", fix)
     return block
 
 
-def _value(key: str, text: str, where: str) -> Any:
-    """What a key's text means: a word, whole numbers, numbers, or couplings 'i j factor' between semicolons."""
-    if key in ("name", "convention"):
-        return text
-    if key == "coupling":
-        entries = [_numbers(entry, where) for entry in text.split(";") if entry.strip()]
-        if any(len(entry) != 3 or entry[0] % 1 or entry[1] % 1 for entry in entries):
-            raise ProblemError(f"{where}: coupling is '{text}'", "Write joint, joint and factor, such as 3 2 -1")
-        return entries
-    numbers = _numbers(text, where)
-    if key in OFFSETS:
-        return numbers
-    if any(number % 1 for number in numbers):
-        raise ProblemError(f"{where}: {key} is '{text}'", "Give whole numbers")
-    return [int(number) for number in numbers]
-
-
 def _numbers(text: str, where: str) -> list[float]:
-    return [_number(part, where) for part in re.split(r"[,;\s]+", text.strip().strip("[]")) if part]
+    found = [_number(part, where) for part in re.split(r"[,;\s]+", text.strip().strip("[]")) if part]
+    return [int(number) if number.is_integer() else number for number in found]
 
 
 def _number(text: str, where: str) -> float:
@@ -462,8 +410,8 @@ def _number(text: str, where: str) -> float:
 TOP = ("name", "convention", "parallel", "conventions", "joint")
 
 
-def read_toml(path: str | Path) -> Fields:
-    """Fields of a TOML file; raises ProblemError that names file and joint."""
+def read_toml(path: str | Path) -> tuple[dict[str, Any], FileRows]:
+    """Block and rows of a TOML file; raises ProblemError that names file and joint."""
     file = str(path)
     try:
         document = tomllib.loads(Path(path).read_bytes().decode("utf-8-sig"))
@@ -486,26 +434,23 @@ def read_toml(path: str | Path) -> Fields:
     for key, value in block.items():
         if key in ("name", "convention") and not isinstance(value, str):
             raise ProblemError(f"{file}: {key} is {value!r}", "Write it as a text between quotes")
-        if key in BLOCK_FIELDS[2:]:
-            _check_list(key, value, file)
-    for i, joint in enumerate(joints, 1):
+        if key in LIKE and not _sound(key, value):
+            raise ProblemError(f"{file}: {key} is {value!r}", f"Write it like {LIKE[key]}")
+    rows = [(f"{file}, joint {i}", joint) for i, joint in enumerate(joints, 1)]
+    for where, joint in rows:
         for key, value in joint.items():
             if key not in ("kind", "note") and not _is_number(value):
-                raise ProblemError(f"{file}, joint {i}: {key} is {value!r}", "Write a number without quotes")
-    return Fields(file, block, tuple(joints), tuple(f"joint {i}" for i in range(1, len(joints) + 1)))
+                raise ProblemError(f"{where}: {key} is {value!r}", "Write a number without quotes")
+    return block, rows
 
 
-def _check_list(key: str, value: Any, file: str) -> None:
-    """Refuse what is no list of numbers, or for coupling no list of [joint, joint, factor]."""
+def _sound(key: str, value: Any) -> bool:
+    """Whether a value is a list of numbers, for coupling a list of [joint, joint, factor], whole where they count."""
     rows = value if key == "coupling" and isinstance(value, list) else [value]
-    whole = {"parallel": 99, "signs": 99, "coupling": 2}.get(key, 0)  # how many of the numbers are whole
-    for row in rows:
-        good = isinstance(row, list) and all(_is_number(v) for v in row)
-        if good and key == "coupling":
-            good = len(row) == 3
-        if not good or any(v % 1 for v in row[:whole]):
-            kind = "[[3, 2, -1.0]]" if key == "coupling" else "[1, 2]" if whole else "[0.0, 90.0]"
-            raise ProblemError(f"{file}: {key} is {value!r}", f"Write it like {kind}")
+    whole = {"parallel": MOST_JOINTS, "signs": MOST_JOINTS, "coupling": 2}.get(key, 0)
+    if not all(isinstance(row, list) and all(map(_is_number, row)) for row in rows):
+        return False
+    return all((key != "coupling" or len(row) == 3) and not any(v % 1 for v in row[:whole]) for row in rows)
 
 
 def _is_number(value: Any) -> bool:
@@ -528,7 +473,7 @@ def _meant(conventions: Conventions, turns: Sequence[bool]) -> dict[str, list[st
     """What a controller's joints mean, numbers as text by key; `turns` says which joints turn."""
     pairs = list(zip(conventions.offsets, turns, strict=True))
     found = {"signs": [str(sign) for sign in conventions.signs]}
-    found["offsets_deg"] = [degrees(offset) if turn else "0" for offset, turn in pairs]
+    found["offsets_deg"] = [degrees(offset if turn else 0.0) for offset, turn in pairs]
     if not all(turns):
         found["offsets_mm"] = [plain(0.0 if turn else offset) for offset, turn in pairs]
     if conventions.coupling:

@@ -15,9 +15,7 @@ from casacal.errors import ProblemError
 from casacal.values import is_real
 
 MOST_JOINTS = 100
-
 MOST_TURNED = 8 * math.pi  # limits of a joint beyond it, in rad, were given in degrees
-
 MOST_RATIO = 1000.0  # largest gear ratio of a robot's joint
 
 
@@ -60,10 +58,7 @@ class Joint:
 
 
 def joints_of(joints: int | str | Sequence[Joint]) -> tuple[Joint, ...]:
-    """Joints from a count (all revolute), a word like "RRPR", or a sequence of `Joint`.
-
-    Limits that are not given are +-pi rad and +-1000 mm.
-    """
+    """Joints from a count (all revolute), a word like "RRPR" (limits +-pi rad, +-1000 mm), or a sequence of `Joint`."""
     if isinstance(joints, int):
         if not 0 <= joints <= MOST_JOINTS:
             raise ProblemError(f"{joints:.6g} joints were asked for", f"Give 1 to {MOST_JOINTS}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -43,10 +42,9 @@ class Links:
         """
         plain, conventions = robot.traced, getattr(robot.arm, "conventions", None)
         if conventions is not None and robot.arm is not None:
-            bare = replace(robot.arm, conventions=None)
-            plain = TracedPose.of(bare.pose, robot.parameters, len(robot.axes))
+            plain = TracedPose.of(replace(robot.arm, conventions=None).pose, robot.parameters, len(robot.axes))
         turns, q = tuple(bool(each) for each in robot.revolute), ca.SX.sym("q", len(robot.axes))
-        pose = ca.Function("pose", [q], [ca.SX(plain(SimpleNamespace(**plain.drawn), q))])
+        pose = ca.Function("pose", [q], [ca.SX(plain.at_drawn(q))])
         both = ca.Function("both", [q], [pose(q), ca.jacobian(ca.vec(pose(q)), q)])
         home, slopes = (np.array(each) for each in both(ca.DM.zeros(len(turns))))
         axes, points, places = np.zeros((3, len(turns), 3))
@@ -97,13 +95,13 @@ class Links:
 
 def nodes_of(robot: Robot, joints: Array) -> Array:
     """Base, places on the links, and flange (N, n + 1, 3; mm) of an arm as drawn; ProblemError where it is no chain."""
-    found = _placed(Links.of(robot), len(robot.axes))(joints)
+    found = _placed(Links.of(robot))(joints)
     return np.concatenate([np.zeros((len(joints), 1, 3)), found], axis=1)
 
 
-def _placed(links: Links, joints: int) -> Callable[[Array], Array]:
+def _placed(links: Links) -> Callable[[Array], Array]:
     """Joint values of the controller (N, n; rad, mm) -> places on the links, the flange last (N, n, 3; mm)."""
-    q = ca.SX.sym("q", joints)
+    q = ca.SX.sym("q", len(links.turns))
     model = q if links.conventions is None else links.conventions.to_model(q)
     places = ca.Function("places", [q], [ca.vec(ca.horzcat(*links.carried(model)))])
     return lambda values: np.array(places.map(len(values))(values.T)).T.reshape(len(values), -1, 3)
@@ -112,10 +110,9 @@ def _placed(links: Links, joints: int) -> Callable[[Array], Array]:
 def is_chain(robot: Robot) -> bool:
     """Whether its joints carry one another in order, so that its links are known."""
     try:
-        Links.of(robot)
+        return bool(Links.of(robot))
     except ProblemError:
         return False
-    return True
 
 
 STILL = 1e-6  # mm; a place whose height changes by less stays where the arm was built
@@ -131,12 +128,10 @@ def above_table(robot: Robot, table: float, radius: float = 0.0) -> Callable[[Ar
         links = Links.of(robot)
     except ProblemError:
         return lambda _, tips: np.asarray(tips[:, 2] >= table - STILL)
-    hung = (
-        links.places.copy()
-    )  # from the flange inwards, so that upright axes in parallel are as high as what they carry
-    for j in reversed(range(len(hung) - 1)):
+    hung = links.places.copy()
+    for j in reversed(range(len(hung) - 1)):  # so that upright axes in parallel are as high as what they carry
         hung[j] = _foot(links.axes[j + 1], links.points[j + 1], hung[j + 1]) if links.turns[j + 1] else hung[j + 1]
-    placed = _placed(replace(links, places=hung), len(robot.axes))
+    placed = _placed(replace(links, places=hung))
     trial = placed(random_joints(robot, 2 * PROOFS, np.random.default_rng(0)))
     moving = np.ptp(trial[..., 2], axis=0) > STILL
 

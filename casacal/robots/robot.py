@@ -16,16 +16,7 @@ from casacal.errors import CasacalError, ProblemError, came
 from casacal.kinematics import Expression
 from casacal.robots.dh_table import DHTable, Stds, read_dh_file
 from casacal.robots.joints import Conventions, Joint, joints_of
-from casacal.robots.traced_pose import (
-    Screws,
-    TracedPose,
-    check_parameters,
-    joint_count,
-    traced,
-    traced_function,
-    travels,
-    triples,
-)
+from casacal.robots.traced_pose import Screws, TracedPose, joint_count, traced, traced_function, travels
 from casacal.unknowns import Unknown
 from casacal.values import FrozenMapping, Value, alike, read_only, short
 
@@ -64,7 +55,15 @@ class Robot(Value):
             raise ProblemError(f"A robot is named {self.name!r}", "Use letters that can be printed on one line")
         if not self.axes:
             raise ProblemError(f"Robot '{self.name}' has no joints", "Give at least one")
-        check_parameters(self.parameters)
+        for key, unknown in self.parameters.items():
+            if not key.isidentifier():
+                raise ProblemError(f"A parameter is named '{key}'", "Use a Python identifier, it becomes p.<name>")
+            if not isinstance(unknown, Unknown):
+                raise ProblemError(f"Robot parameter '{key}' is {came(unknown)}", f"Make it one: {key}=Parameter(...)")
+            if unknown.per is not None:
+                raise ProblemError(f"Robot parameter '{key}' is per '{unknown.per}'", "Only instruments vary by label")
+            if unknown.nominal is None:
+                raise ProblemError(f"Robot parameter '{key}' has no nominal value", "Give it the drawing's")
 
     @property
     def axes(self) -> tuple[Joint, ...]:
@@ -103,10 +102,13 @@ class Robot(Value):
         return replace(self, joints=tuple(geared))
 
     def in_other_convention(self) -> Robot | None:
-        """The arm that its DH table makes in the other convention; None where it has no table."""
-        other = self.arm.in_other_convention() if isinstance(self.arm, DHTable) else None
+        """The arm that its DH table makes when it is read by the other convention; None where it has no table."""
+        if not isinstance(self.arm, DHTable):
+            return None
+        convention: Any = "modified" if self.arm.convention == "standard" else "standard"
+        other = replace(self.arm, convention=convention, parallel=(), beta=())
         kept = {key: unknown for key, unknown in self.parameters.items() if key != "beta"}
-        return None if other is None else replace(self, pose=other.pose, parameters=kept, arm=other)
+        return replace(self, pose=other.pose, parameters=kept, arm=other)
 
     def __eq__(self, other: object) -> bool:
         """Whether both are the same arm: names, joints, parameters, and the graph that the pose function builds."""
@@ -181,10 +183,7 @@ class Robot(Value):
     def from_dh_file(
         path: str | Path, *, length_std: Stds = None, angle_std: Stds = None, twist_std: Stds = None
     ) -> Robot:
-        """Robot from a DH table in CSV or TOML; docs/files.md says how the files look.
-
-        Raises ProblemError that names the file, the line or joint, and what to do.
-        """
+        """Robot from a DH table in CSV or TOML, as docs/files.md has them; raises ProblemError that names the place."""
         table = replace(read_dh_file(path), path=str(Path(path).resolve()))
         return Robot(table.name, table.joints, table.pose, table.parameters(length_std, angle_std, twist_std), table)
 
@@ -250,9 +249,9 @@ class Robot(Value):
         Raises ProblemError when the columns differ in length or an axis has no direction.
 
         """
-        rows = tuple(tuple(float(value) for value in row) for row in home)
-        kinds, lines = joints_of(len(axes) if joints is None else joints), (triples(axes), triples(points))
-        arm = Screws(name=name, axes=lines[0], points=lines[1], home=rows, joints=kinds, conventions=conventions)
+        kinds = joints_of(len(axes) if joints is None else joints)
+        rows: Any = [tuple(tuple(map(float, np.ravel(row))) for row in given) for given in (axes, points, home)]
+        arm = Screws(name=name, axes=rows[0], points=rows[1], home=rows[2], joints=kinds, conventions=conventions)
         return Robot(name, kinds, arm.pose, arm.parameters(length_std, angle_std), arm)
 
     @staticmethod
@@ -288,10 +287,7 @@ AXIS_WEIGHT = 300.0  # millimetres at the tip that weigh as much as one radian o
 
 
 def joint_values(q: Any, robot: Robot) -> Array:
-    """Joint values (N, n; rad, mm) of an arm from numbers, one row (n,) or several (N, n).
-
-    Raises CasacalError for anything else.
-    """
+    """Joint values (N, n; rad, mm) of an arm from one row (n,) or several (N, n); raises CasacalError for others."""
     wanted = f"Give {len(robot.axes)} numbers per row, in rad (sliding joints in mm)"
     try:
         values = np.array(q, dtype=np.float64)

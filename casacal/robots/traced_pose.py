@@ -48,11 +48,8 @@ class Screws:
     def __post_init__(self) -> None:
         count = len(self.joints)
         if not len(self.axes) == len(self.points) == count:
-            raise ProblemError(
-                f"The screws of '{self.name}' are {len(self.axes)} axes and {len(self.points)} points for {count} "
-                "joints",
-                "Give one of each per joint",
-            )
+            are = f"{len(self.axes)} axes and {len(self.points)} points for {count} joints"
+            raise ProblemError(f"The screws of '{self.name}' are {are}", "Give one of each per joint")
         for what, rows in (("axis", self.axes), ("point", self.points)):
             for i, row in enumerate(rows, 1):
                 if len(row) != 3:
@@ -94,11 +91,6 @@ class Screws:
         return found
 
 
-def triples(rows: Sequence[Sequence[float]]) -> tuple[Triple, ...]:
-    """Rows of numbers as tuples of floats, whatever their length: `Screws` says which is wrong."""
-    return tuple(tuple(float(value) for value in np.ravel(row)) for row in rows)  # type: ignore[misc]
-
-
 @dataclass(frozen=True, eq=False)
 class TracedPose(Value):
     """`pose(p, q)` as a graph: the parameters' values, by key, and q give the factors of the 4x4 flange pose (mm).
@@ -132,18 +124,25 @@ class TracedPose(Value):
             for key, unknown in self.unknowns.items()
         }
 
+    def at_drawn(self, q: Expression) -> Expression:
+        """The flange pose of the arm as drawn."""
+        return self(SimpleNamespace(**self.drawn), q)
+
+    @property
+    def joints(self) -> int:
+        """How many joint values q has."""
+        return int(self.graph.size1_in(self.graph.n_in() - 1))
+
     @cached_property
     def levers(self) -> ca.Function:
         """q -> derivative (3, n) of the flange's origin by the joint values, mm, of the arm as drawn."""
-        q = ca.SX.sym("q", self.graph.size1_in(self.graph.n_in() - 1))
-        place = position(self(SimpleNamespace(**self.drawn), q))
-        return ca.Function("levers", [q], [ca.densify(ca.jacobian(place, q))])
+        q = ca.SX.sym("q", self.joints)
+        return ca.Function("levers", [q], [ca.densify(ca.jacobian(position(self.at_drawn(q)), q))])
 
     def require_rigid(self, owner: str) -> None:
         """Raise ProblemError where the arm as drawn stretches, bends or mirrors its flange in one of three postures."""
-        postures = np.random.default_rng(0).uniform(-1, 1, (3, self.graph.size1_in(self.graph.n_in() - 1)))
-        for q in postures:
-            pose = np.array(ca.DM(self(SimpleNamespace(**self.drawn), ca.DM(q))))
+        for q in np.random.default_rng(0).uniform(-1, 1, (3, self.joints)):
+            pose = np.array(ca.DM(self.at_drawn(ca.DM(q))))
             turn = pose[:3, :3]
             bent = np.abs(turn.T @ turn - np.eye(3)).max()
             if bent > RIGID:
@@ -154,10 +153,8 @@ class TracedPose(Value):
                 what = f"has the last row {pose[3].round(3).tolist()} in place of 0, 0, 0, 1"
             else:
                 continue
-            raise ProblemError(
-                f"The pose of '{owner}' {what}, at the joint values {q.round(3).tolist()}",
-                "Look at the signs of its sines and cosines; casacal.kinematics has matrices that are right",
-            )
+            fix = "Look at the signs of its sines and cosines; casacal.kinematics has matrices that are right"
+            raise ProblemError(f"The pose of '{owner}' {what}, at the joint values {q.round(3).tolist()}", fix)
 
     @cached_property
     def text(self) -> str:
@@ -169,19 +166,6 @@ class TracedPose(Value):
 
     def __hash__(self) -> int:
         return hash(self.text)
-
-
-def check_parameters(parameters: Mapping[str, Any]) -> None:
-    """Raise ProblemError for what cannot be a parameter of an arm."""
-    for key, unknown in parameters.items():
-        if not key.isidentifier():
-            raise ProblemError(f"A parameter is named '{key}'", "Use a Python identifier, it becomes p.<name>")
-        if not isinstance(unknown, Unknown):
-            raise ProblemError(f"Robot parameter '{key}' is {came(unknown)}", f"Make it one: {key}=Parameter(...)")
-        if unknown.per is not None:
-            raise ProblemError(f"Robot parameter '{key}' is per '{unknown.per}'", "Only instruments vary by label")
-        if unknown.nominal is None:
-            raise ProblemError(f"Robot parameter '{key}' has no nominal value", "Give it the drawing's")
 
 
 def traced(
@@ -202,10 +186,8 @@ def traced(
     except (Exception, SystemExit) as error:  # whatever a user's function raises, it is their file that must change
         code = None if str(call.__module__).startswith("casacal.") else getattr(call, "__code__", None)
         place = f"{line_of(Path(code.co_filename), error)}: " if code else ""
-        raise ProblemError(
-            f"{place}{what} of '{owner}' failed with {said(error)}",
-            "It must build CasADi expressions from its arguments; see casacal.kinematics",
-        ) from error
+        fix = "It must build CasADi expressions from its arguments; see casacal.kinematics"
+        raise ProblemError(f"{place}{what} of '{owner}' failed with {said(error)}", fix) from error
     if found != shape and (shape is not None or found[1] != 1):
         wanted = "a scalar or a column" if shape is None else f"{shape}"
         raise ProblemError(f"{what} of '{owner}' has the shape {found}", f"It must be {wanted}")
@@ -247,9 +229,8 @@ def traced_function(
         raise ProblemError(f"The length of a function is in {length!r}", 'Give "m" or "mm"')
     per_mm, first, count = LENGTHS[length], _first(function), joint_count(function)
     if len(joints) != count:
-        raise ProblemError(
-            f"{_said(function)} takes {count} joint values, and {len(joints)} joints came", "Give as many"
-        )
+        what = f"{_said(function)} takes {count} joint values, and {len(joints)} joints came"
+        raise ProblemError(what, "Give as many")
     known = {key: each for key, each in parameters.items() if isinstance(each, Parameter)}
     for key, other in parameters.items():
         if key not in known:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NoReturn
@@ -40,63 +41,12 @@ class UrdfJoint:
     mimics: str | None = None
 
 
-@dataclass(frozen=True)
-class UrdfFile:
-    """All links and joints of a URDF."""
-
-    file: str
-    name: str
-    links: tuple[str, ...]
-    joints: tuple[UrdfJoint, ...]
-
-    def chain(self, base: str | None, tip: str | None) -> tuple[UrdfJoint, ...]:
-        """Joints from a base link (default: the root) to a tip link (default: the only one without child).
-
-        Raises ProblemError for links that do not exist, several roots or tips, and loops.
-        """
-        if tip is None:
-            parents = {joint.parent for joint in self.joints}
-            tip = self._only([link for link in self.links if link not in parents], "tip")
-        if base is None:
-            children = {joint.child for joint in self.joints}
-            base = self._only([link for link in self.links if link not in children], "base")
-        for link in (base, tip):
-            if link not in self.links:
-                fix = f"Name one of {', '.join(self.links)}"
-                raise ProblemError(f"{self.file}: there is no link named '{link}'", fix)
-        found = self.between(base, tip)
-        if found is None:
-            raise ProblemError(f"{self.file}: link '{tip}' does not hang on link '{base}'", "Name a base above the tip")
-        return found
-
-    def between(self, base: str, link: str) -> tuple[UrdfJoint, ...] | None:
-        """Joints from a base link to one that hangs on it; None for one that does not."""
-        parents, way, links = {joint.child: joint for joint in self.joints}, list[UrdfJoint](), [link]
-        while links[-1] in parents and len(way) <= len(self.joints):  # where joints form a loop, once round and one
-            way.append(parents[links[-1]])
-            links.append(way[-1].parent)
-        return tuple(reversed(way[: links.index(base)])) if base in links else None
-
-    def _only(self, links: list[str], what: str) -> str:
-        if len(links) != 1:
-            several = ", ".join(f"'{link}'" for link in links) or "none"
-            raise ProblemError(
-                f"{self.file}: there are {len(links)} links that could be the {what}: {several}",
-                f"Name one with {what}= (--{what} on the command line)"
-                if links
-                else "The joints form a loop; mend the file",
-            )
-        return links[0]
-
-
 def check_joint(file: str, joint: UrdfJoint) -> None:
     """Raise ProblemError unless a joint of the chain can be calibrated and its numbers can be metres and radians."""
     where = f"{file}, line {joint.line}: joint '{joint.name}'"
     if joint.mimics is not None:
-        raise ProblemError(
-            f"{where} mimics '{joint.mimics}'",
-            "Choose base and tip so that none does, or write a DH table with its coupling",
-        )
+        fix = "Choose base and tip so that none does, or write a DH table with its coupling"
+        raise ProblemError(f"{where} mimics '{joint.mimics}'", fix)
     if joint.kind not in (*MOVING, "fixed"):
         fix = "Between base and tip there may be revolute, continuous, prismatic and fixed joints"
         raise ProblemError(f"{where} is of type '{joint.kind}'", fix)
@@ -104,11 +54,9 @@ def check_joint(file: str, joint: UrdfJoint) -> None:
         raise ProblemError(f"{where} lies {max(map(abs, joint.xyz)):g} from its parent", "A URDF is in metres, not mm")
     if max(abs(v) for v in joint.rpy) > 2 * math.pi + 1e-6:
         raise ProblemError(f"{where} has rpy {_said(joint.rpy)}", "A URDF has radians, not degrees")
-    if joint.kind == "fixed":
-        return
-    if math.hypot(*joint.axis) < 1e-9:
+    if joint.kind != "fixed" and math.hypot(*joint.axis) < 1e-9:
         raise ProblemError(f"{where} has the axis {_said(joint.axis)}", "Give a direction, such as 0 0 1")
-    if joint.kind == "continuous":
+    if joint.kind in ("fixed", "continuous"):
         return
     if joint.limits is None:
         raise ProblemError(f"{where} is {joint.kind} and has no limits", "Add <limit lower= upper=>")
@@ -143,6 +91,12 @@ ATTRIBUTES = {
     "mimic": ("joint", "multiplier", "offset"),
 }
 """Parts of a joint that matter here, and what they may say."""
+KNOWN: Mapping[tuple[str, ...], tuple[str, ...]] = {
+    (): ("robot",),
+    ("robot",): ("link", "joint"),
+    ("robot", "joint"): tuple(ATTRIBUTES),
+}
+"""Tags that matter, by those that they stand in."""
 EXPAND = "Expand it first: xacro ARM.urdf.xacro > ARM.urdf"
 PLACING = ("origin", "axis", "parent", "child")  # those in which nothing may be overlooked
 
@@ -160,20 +114,21 @@ def read_urdf(path: str | Path) -> UrdfFile:
         raise ProblemError(f"{file}: there is no such file", "Check the path of the URDF") from None
     except OSError as error:
         raise ProblemError(f"{file}: cannot be read ({error.strerror})", "Give a readable URDF") from None
-    reader = _Reader(file)
+    found = UrdfFile(file)
     try:
-        reader.parser.Parse(data, True)
+        found.parser.Parse(data, True)
     except expat.ExpatError as error:
         said = expat.ErrorString(error.code)
         raise ProblemError(f"{file}, line {error.lineno}: broken XML ({said})", "Mend the file") from None
     except (LookupError, ValueError) as error:  # an encoding that nobody knows, or that expat does not
         raise ProblemError(f"{file}: its encoding cannot be read ({error})", "Save it as UTF-8") from None
-    return reader.finished()
+    found.check()
+    return found
 
 
 @dataclass
-class _Reader:
-    """Collects links and joints while expat walks through the file."""
+class UrdfFile:
+    """All links and joints of a URDF, collected while expat walks through it; `path` holds the tags that are open."""
 
     file: str
     path: list[str] = field(default_factory=list)
@@ -188,7 +143,44 @@ class _Reader:
         self.parser.EndElementHandler = lambda _: self.path.pop()
         self.parser.EntityDeclHandler = lambda *_: self._refuse("declares an entity", "Write out its value")
 
-    def finished(self) -> UrdfFile:
+    def chain(self, base: str | None, tip: str | None) -> tuple[UrdfJoint, ...]:
+        """Joints from a base link (default: the root) to a tip link (default: the only one without child).
+
+        Raises ProblemError for links that do not exist, several roots or tips, and loops.
+        """
+        if tip is None:
+            parents = {joint.parent for joint in self.joints}
+            tip = self._only([link for link in self.links if link not in parents], "tip")
+        if base is None:
+            children = {joint.child for joint in self.joints}
+            base = self._only([link for link in self.links if link not in children], "base")
+        for link in (base, tip):
+            if link not in self.links:
+                fix = f"Name one of {', '.join(self.links)}"
+                raise ProblemError(f"{self.file}: there is no link named '{link}'", fix)
+        found = self.between(base, tip)
+        if found is None:
+            raise ProblemError(f"{self.file}: link '{tip}' does not hang on link '{base}'", "Name a base above the tip")
+        return found
+
+    def between(self, base: str, link: str) -> tuple[UrdfJoint, ...] | None:
+        """Joints from a base link to one that hangs on it; None for one that does not."""
+        parents, way, links = {joint.child: joint for joint in self.joints}, list[UrdfJoint](), [link]
+        while links[-1] in parents and len(way) <= len(self.joints):  # where joints form a loop, once round and one
+            way.append(parents[links[-1]])
+            links.append(way[-1].parent)
+        return tuple(reversed(way[: links.index(base)])) if base in links else None
+
+    def _only(self, links: list[str], what: str) -> str:
+        if len(links) != 1:
+            several = ", ".join(f"'{link}'" for link in links) or "none"
+            name = f"Name one with {what}= (--{what} on the command line)"
+            fix = name if links else "The joints form a loop; mend the file"
+            raise ProblemError(f"{self.file}: there are {len(links)} links that could be the {what}: {several}", fix)
+        return links[0]
+
+    def check(self) -> None:
+        """Raise ProblemError for names that come twice, and for joints that do not make a tree of links."""
         for kind, names in (("link", self.links), ("joint", [joint.name for joint in self.joints])):
             for name, count in Counter(names).items():
                 if count > 1:
@@ -206,73 +198,52 @@ class _Reader:
                 fix = "A URDF is a tree: give each link one joint above it"
                 raise ProblemError(f"{where} and joint '{children[joint.child]}' both hold link '{joint.child}'", fix)
             children[joint.child] = joint.name
-        return UrdfFile(self.file, self.name or Path(self.file).stem, tuple(self.links), tuple(self.joints))
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        above, joints = tuple(self.path), self.joints
         self.path.append(tag)
         if tag.startswith("xacro:"):
             self._refuse(f"is xacro (<{tag}>)", EXPAND)
-        if len(self.path) > 3:  # what other programs keep inside the parts of a joint, however deep
-            return
-        self._spelling(tag, attributes)
-        if len(self.path) == 1:
-            if tag != "robot":
-                self._refuse(f"begins with <{tag}>, a URDF with <robot>", "Give a URDF")
-            self.name = attributes.get("name", "")
-        elif self.path[:-1] == ["robot"] and tag == "link":
-            self.links.append(self._text(attributes, "name", "a link"))
-        elif self.path[:-1] == ["robot"] and tag == "joint":
-            name = self._text(attributes, "name", "a joint")
-            kind = self._text(attributes, "type", f"joint '{name}'")
-            self.joints.append(UrdfJoint(name, kind, self.parser.CurrentLineNumber))
-        elif self.path[:-1] == ["robot", "joint"]:
-            self._part(self.joints[-1], tag, attributes)
-
-    def _spelling(self, tag: str, attributes: dict[str, str]) -> None:
-        """Refuse what is nearly a tag or an attribute that matters, or an attribute that moves things unseen."""
-        if self.path[:-1] not in ([], ["robot"], ["robot", "joint"]):
-            return
-        known = ("robot",) if len(self.path) == 1 else ("link", "joint") if len(self.path) == 2 else tuple(ATTRIBUTES)
-        for name in known:
+        for name in KNOWN.get(above, ()):
             if tag != name and tag.lower() == name:
                 self._refuse(f"has <{tag}>", f"Write <{name}>")
-        if len(self.path) < 3 or tag not in ATTRIBUTES:
+        if not above:
+            if tag != "robot":
+                self._refuse(f"begins with <{tag}>, a URDF with <robot>", "Give a URDF")
+            self.name = attributes.get("name") or Path(self.file).stem
+        elif tag not in KNOWN.get(above, ()):  # what other programs keep there
             return
+        elif tag == "link":
+            self.links.append(self._text(attributes, "name", "a link"))
+        elif tag == "joint":
+            name = self._text(attributes, "name", "a joint")
+            kind = self._text(attributes, "type", f"joint '{name}'")
+            joints.append(UrdfJoint(name, kind, self.parser.CurrentLineNumber))
+        else:
+            joints[-1] = replace(joints[-1], **self._part(joints[-1].name, tag, attributes))
+
+    def _part(self, joint: str, tag: str, attributes: dict[str, str]) -> dict[str, Any]:
+        """Fields of the joint last begun that one part of it says."""
+        whose = f"<{tag}> of joint '{joint}'"
         for name in attributes:
             if name not in ATTRIBUTES[tag]:
                 meant = [each for each in ATTRIBUTES[tag] if each == name.lower()]
                 if meant or tag in PLACING:
                     fix = f"Write {meant[0]}=" if meant else f"It may have {', '.join(ATTRIBUTES[tag])}"
-                    self._refuse(f"gives <{tag}> of joint '{self.joints[-1].name}' the attribute {name}=", fix)
-
-    def _part(self, joint: UrdfJoint, tag: str, attributes: dict[str, str]) -> None:
-        """Take in one part of a joint, the last one begun."""
-        whose = f"<{tag}> of joint '{joint.name}'"
-        if tag in ATTRIBUTES:
-            if (len(self.joints), tag) in self.seen:
-                self._refuse(f"gives joint '{joint.name}' a second <{tag}>", "Leave one of them")
-            self.seen.add((len(self.joints), tag))
-        if tag == "origin":
-            xyz, rpy = (self._triple(attributes, key, whose, ZERO) for key in ("xyz", "rpy"))
-            joint = replace(joint, xyz=xyz, rpy=rpy)
-        elif tag == "axis":
-            joint = replace(joint, axis=self._triple(attributes, "xyz", whose, joint.axis))
-        elif tag == "parent":
-            joint = replace(joint, parent=self._text(attributes, "link", whose))
-        elif tag == "child":
-            joint = replace(joint, child=self._text(attributes, "link", whose))
-        elif tag == "limit":
-            lower, upper = (self._numbers(attributes.get(key, "0"), whose, 1)[0] for key in ("lower", "upper"))
-            joint = replace(joint, limits=(lower, upper))
-        elif tag == "mimic":
-            joint = replace(joint, mimics=attributes.get("joint", "?"))
-        self.joints[-1] = joint
-
-    def _triple(self, attributes: dict[str, str], key: str, whose: str, default: Triple) -> Triple:
-        if key not in attributes:
-            return default
-        x, y, z = self._numbers(attributes[key], f"{key} of {whose}", 3)
-        return x, y, z
+                    self._refuse(f"gives {whose} the attribute {name}=", fix)
+        if (len(self.joints), tag) in self.seen:
+            self._refuse(f"gives joint '{joint}' a second <{tag}>", "Leave one of them")
+        self.seen.add((len(self.joints), tag))
+        if tag == "mimic":
+            return {"mimics": attributes.get("joint", "?")}
+        if tag in ("parent", "child"):
+            return {tag: self._text(attributes, "link", whose)}
+        if tag == "limit":
+            limits = (self._numbers(attributes.get(key, "0"), whose, 1)[0] for key in ("lower", "upper"))
+            return {"limits": tuple(limits)}
+        given = [key for key in ("xyz", "rpy") if key in attributes and key in ATTRIBUTES[tag]]
+        triples = {key: tuple(self._numbers(attributes[key], f"{key} of {whose}", 3)) for key in given}
+        return {"axis" if tag == "axis" else key: triple for key, triple in triples.items()}
 
     def _numbers(self, text: str, whose: str, count: int) -> list[float]:
         if "${" in text or "$(" in text:
@@ -362,20 +333,15 @@ class UrdfChain:
         origin = rigid(ca.DM(fixed[:3, :3] @ turn), place)
         return [origin, rotate_x(p.rx[i]), rotate_y(p.ry[i]), rotate_z(p.rz[i])]
 
-    def parameters(self, length_std: float | None, angle_std: float | None) -> dict[str, Unknown]:
+    def parameters(self, length_std: float | None, angle_std: float | None) -> Mapping[str, Unknown]:
         """Unknowns x, y, z (mm): the origins; rx, ry, rz (rad, nominally zero): small turns of each joint's frame.
 
         The turns are about the frame's own axes and not the file's roll, pitch and yaw: these lose a direction at a
         pitch of 90 degrees, where many drawings stand.
         """
-        rows = np.array([joint.xyz for joint in self.moving]).T * MM
-        lengths = {
-            key: Parameter(tuple(map(float, row)), unit="mm", prior_std=length_std)
-            for key, row in zip("xyz", rows, strict=True)
-        }
-        zeros = (0.0,) * len(self.moving)
+        rows, zeros = np.array([joint.xyz for joint in self.moving]).T * MM, (0.0,) * len(self.moving)
         turns = {key: Parameter(zeros, unit="rad", prior_std=angle_std) for key in ("rx", "ry", "rz")}
-        return {**lengths, **turns}
+        return {key: Parameter(row, prior_std=length_std) for key, row in zip("xyz", rows, strict=True)} | turns
 
     def origins_at(self, p: Any) -> list[Array]:
         """Origins (4x4, mm) of the moving joints in their parents at numbers `p`, without the fixed joints."""

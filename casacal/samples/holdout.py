@@ -17,18 +17,13 @@ WAYS = ("rows", "region", "face")  # what is held out together, beside the value
 def split(
     samples: Samples, holdout: float, seed: int, by: str = "rows", face: str | None = None
 ) -> tuple[Index, Index]:
-    """Rows to fit and rows held out: a given part of them, drawn at random.
+    """Rows to fit and rows held out: a given part of them, 0 to below 1, drawn at random.
 
-    Args:
-        samples: all rows.
-        holdout: the part, from 0 to below 1.
-        seed: of the draw.
-        by: "rows" of each face, one by one; "region", on each face the rows whose postures are nearest to one of them;
-            "face", whole faces; or a column of the samples, all rows of some of its values.
-        face: the column that names the faces; None where there is one for all.
+    by: "rows" of each face, one by one; "region", on each face the rows whose postures are nearest to one of them;
+    "face", whole faces; or a column of the samples, all rows of some of its values. face: the column that names the
+    faces; None where there is one for all.
 
-    Raises CasacalError unless 0 <= holdout < 1, where nothing is left to fit, and where there is nothing to hold out.
-
+    Raises CasacalError for other parts, where nothing is left to fit, and where there is nothing to hold out.
     """
     if not isinstance(seed, (int, np.integer)) or seed < 0:
         raise CasacalError(f"The seed is {seed!r}", "Give a whole number from zero on")
@@ -103,7 +98,6 @@ def _whole(samples: Samples, holdout: float, rng: np.random.Generator, by: str, 
         return np.zeros(len(samples), dtype=bool)
     count = max(1, round(holdout * len(groups.names)))
     if count >= len(groups.names):
-        raise CasacalError(
-            f"Holding out {count} of {len(groups.names)} by '{by}' leaves nothing to fit", "Hold fewer out"
-        )
+        what = f"Holding out {count} of {len(groups.names)} by '{by}' leaves nothing to fit"
+        raise CasacalError(what, "Hold fewer out")
     return np.isin(groups.codes, rng.permutation(len(groups.names))[:count])

@@ -49,10 +49,7 @@ def repeats_in(measured: Measurements, groups: Sequence[str | None]) -> Repeats:
 
 
 def copies_of(samples: Samples) -> Rows:
-    """Which rows (N,) hold the same joints, columns and labels as an earlier one, to the last digit.
-
-    A touch whose purpose is "again", which a plan asks for once more, is no copy of the first.
-    """
+    """Which rows (N,) equal an earlier one to the last digit; a touch whose purpose is "again" is no copy."""
     numbers = [np.asarray(values) + 0.0 for values in (*samples.joints.T, *samples.columns.values())]  # no -0.0
     codes = [labels.codes for labels in samples.labels.values()]
     if "purpose" in samples.extra:
@@ -128,16 +125,16 @@ def fitted_among(samples: Samples, layout: Layout, listed: Mapping[str, Any]) ->
 
     Rows of an instrument with other columns are never those that were fitted.
     """
-    nobody = np.zeros(len(samples), dtype=bool)
+    nobody = np.zeros(len(samples), dtype=bool), 0.0
     known = np.array([line.split() for line in listed["values"]], dtype=np.float64)
-    near = np.full(len(layout.joints), float(NEAR_READING))  # without readings, joints are
+    near = np.full(len(layout.joints) + len(layout.columns), float(NEAR_READING))  # without readings, joints are
     if layout.columns:
-        near = np.array([*_near_joints(layout), *[NEAR_READING] * len(layout.columns)], dtype=np.float64)
+        near[: len(layout.joints)] = _near_joints(layout)
     if sorted(layout.columns) != sorted(listed["columns"]) or known.shape[1] != near.size:
-        return nobody, 0.0
+        return nobody
     same = _near_any(known, _on_grid(samples, layout), near)
     if layout.columns and same.sum() < PASTED * in_fitted_postures(samples, layout, listed).sum():
-        return nobody, 0.0
+        return nobody
     return same, float(same.mean()) * listed["rows"] / len(known)
 
 

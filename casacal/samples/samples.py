@@ -68,15 +68,6 @@ def _spellings(name: str, kind: Dimension) -> dict[str, float]:
     return {f"{name}_{unit}" if unit else name: factor for unit, factor in UNITS[kind].items()}
 
 
-def numeric_columns(header: Sequence[str], layout: Layout) -> list[str]:
-    """The columns of a header to read as numbers; none unless there is exactly one for each quantity of the layout."""
-    asked = [_spellings(name, kind) for name, kind in layout.quantities.items()]
-    found = [[name for name in header if name in each] for each in asked]
-    if not all(len(each) == 1 for each in found):
-        return []
-    return [each[0] for each in found] + [name for name in header if name in layout.further]
-
-
 def _taken(layout: Layout) -> set[str]:
     """All names that a layout knows columns by."""
     quantities = (each for name, kind in layout.quantities.items() for each in _spellings(name, kind))
@@ -94,19 +85,15 @@ def _nearly(spellings: Sequence[str], header: Sequence[str], taken: Collection[s
 
 def match_columns(table: Columns, layout: Layout) -> dict[str, tuple[str, float]]:
     """The column and the factor to mm or rad of each quantity."""
-
-    def refuse(what: str, fix: str, column: str | None = None) -> SamplesError:
-        return SamplesError(table.file, what, fix, line=table.header_line or None, column=column)
-
     for name, reason in layout.refused.items():
         for column in table.header:
             if re.fullmatch(rf"{name}(_\w+)?", column):
                 fix = "Change the problem, or remove the column"
-                raise refuse(f"the file has this column but {reason}", fix, column)
+                raise table.refusal(f"the file has this column but {reason}", fix, column)
     for column in table.header:
         number = re.fullmatch(r"q(\d+)(_\w+)?", column)
         if number and not 1 <= int(number[1]) <= len(layout.joints):
-            raise refuse(f"the robot has {len(layout.joints)} joints", "Use the file of this robot", column)
+            raise table.refusal(f"the robot has {len(layout.joints)} joints", "Use the file of this robot", column)
     taken = _taken(layout)
     found = {}
     for name, kind in layout.quantities.items():
@@ -114,33 +101,31 @@ def match_columns(table: Columns, layout: Layout) -> dict[str, tuple[str, float]
         present = [column for column in table.header if column in spellings]
         wanted = " or ".join(spellings)
         if len(present) > 1:
-            raise refuse(f"'{present[0]}' and '{present[1]}' both give {name}", "Keep one of the two", present[1])
+            raise table.refusal(
+                f"'{present[0]}' and '{present[1]}' both give {name}", "Keep one of the two", present[1]
+            )
         if present:
             found[name] = present[0], spellings[present[0]]
             continue
         if name in table.header:
-            raise refuse(f"the column has no unit (for {name}: {wanted})", "Add the unit to its name", name)
+            raise table.refusal(f"the column has no unit (for {name}: {wanted})", "Add the unit to its name", name)
         wrong = [column for column in table.header if column.startswith(f"{name}_")]
         if wrong:
-            raise refuse(f"the column does not carry a unit known for {name}", f"Call it {wanted}", wrong[0])
+            raise table.refusal(f"the column does not carry a unit known for {name}", f"Call it {wanted}", wrong[0])
         alike = _nearly(tuple(spellings), table.header, taken)
         seen = f"(did you mean '{alike}'?)" if alike else "among " + ", ".join(table.header[:20])
-        raise refuse(f"there is no column for {name} {seen}", f"{'Call it' if alike else 'Add'} {wanted}", alike)
+        raise table.refusal(f"there is no column for {name} {seen}", f"{'Call it' if alike else 'Add'} {wanted}", alike)
     return found
 
 
 def read_further(table: Columns, layout: Layout) -> dict[str, Array]:
-    """Numbers (N,) of those of the layout's further columns that there are, read-only.
-
-    Raises SamplesError where one is absent and another is nearly called so, and for a cell that is no number.
-    """
+    """Further columns (N,) that there are; SamplesError for one nearly called so, and a cell that is no number."""
     taken = _taken(layout)
     for name in layout.further:
         alike = None if name in table.header else _nearly((name,), table.header, taken)
         if alike is not None:
             what = f"there is no column '{name}' (did you mean '{alike}'?)"
-            fix = f"Call it {name}, or something else if it is another thing"
-            raise SamplesError(table.file, what, fix, line=table.header_line or None, column=alike)
+            raise table.refusal(what, f"Call it {name}, or something else if it is another thing", alike)
     return {name: read_only(table.number(name)) for name in layout.further if name in table.header}
 
 
@@ -150,8 +135,7 @@ def _labels(table: Columns, name: str) -> Labels:
         for column in table.header:
             if column.lower() in (*alike, *ALSO_CALLED.get(name, ())):
                 what = f"there is no column '{name}' of labels (did you mean '{column}'?)"
-                fix = f"Call it {name}, or something else if it holds no labels"
-                raise SamplesError(table.file, what, fix, line=table.header_line or None, column=column)
+                raise table.refusal(what, f"Call it {name}, or something else if it holds no labels", column)
         return Labels.alike(name, len(table.lines))
     labels = table.text(name)
     for label in sorted(labels.names, key=bool):  # an empty one first
@@ -255,12 +239,9 @@ class Samples(Value):
     def from_file(path: str | Path, layout: Layout, *, absurd: bool = False) -> Samples:
         """Read a samples file: .npy with named fields, .npz with one array per column, .xlsx, or else delimited text.
 
-        `absurd` lets values pass that no robot has, for those who look for their cause.
-
-        Raises SamplesError that names file, line, column, what is wrong and the fix.
+        absurd: whether values pass that no robot has. Raises SamplesError that names file, line, column and the fix.
         """
-        columns = read_columns(path)
-        return Samples.from_columns(columns, layout, absurd=absurd)
+        return Samples.from_columns(read_columns(path), layout, absurd=absurd)
 
     @staticmethod
     def from_csv(path: str | Path, layout: Layout, *, absurd: bool = False) -> Samples:
@@ -270,8 +251,11 @@ class Samples(Value):
     @staticmethod
     def from_frame(frame: Any, layout: Layout, *, source: str = "DataFrame") -> Samples:
         """Samples from a pandas DataFrame with the columns of a samples file; raises SamplesError."""
-        numbers = numeric_columns([str(name) for name in frame.columns], layout)
-        return Samples.from_columns(columns_of_frame(frame, numbers, layout.labels, source), layout)
+        header = [str(name) for name in frame.columns]
+        found = [[name for name in header if name in _spellings(*each)] for each in layout.quantities.items()]
+        numbers = [name for each in found for name in each] + [name for name in header if name in layout.further]
+        once = all(len(each) == 1 for each in found)  # else cell by cell, where what is wrong is said
+        return Samples.from_columns(columns_of_frame(frame, numbers if once else [], layout.labels, source), layout)
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, Any], layout: Layout, *, source: str = "arrays") -> Samples:
@@ -388,12 +372,8 @@ def samples_text(
 ) -> str:
     """The same as text.
 
-    Args:
-        layout, samples, comments: as of `write_samples`.
-        before, after: further columns of cells (N,), by name.
-        joint_decimals, least_decimals: of joint values, and of readings at least.
-        prefix: what the names of readings begin with.
-
+    before, after: further columns of cells (N,), by name. joint_decimals, least_decimals: of joint values, and of
+    readings at least. prefix: what the names of readings begin with.
     """
     columns = dict(before)
     joints = zip(layout.joints, samples.joints.T, strict=True)
@@ -414,10 +394,7 @@ def samples_text(
 
 @dataclass(frozen=True, eq=False)
 class Measurements(Value):
-    """Samples of each instrument; rows are numbered through all of them, in the order of the instruments.
-
-    names: of the instruments; empty for an only one.
-    """
+    """Samples by name of instrument, empty for an only one; rows are numbered through all of them in this order."""
 
     names: tuple[str, ...]
     sets: tuple[Samples, ...]

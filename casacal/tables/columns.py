@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array, Index
+from casacal.errors import SamplesError
 
 Codes: TypeAlias = NDArray[np.int32]
 
@@ -114,6 +115,10 @@ class Columns:
     number: Callable[[str], Array]
     text: Callable[[str], Labels]
     texts: Callable[[], Mapping[str, tuple[str, ...]]] = dict
+
+    def refusal(self, what: str, fix: str, column: str | None) -> SamplesError:
+        """What is wrong with the header, at its line where there is one."""
+        return SamplesError(self.file, what, fix, line=self.header_line or None, column=column)
 
     def cell(self, name: str, row: int) -> str:
         """One cell as it was written, or where nobody keeps that, its number."""

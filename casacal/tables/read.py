@@ -81,10 +81,7 @@ def digest_of(arrays: Mapping[str, NDArray[Any]]) -> str:
 
 
 def read_arrays(path: Path) -> Columns:
-    """Columns of a .npy file with named fields, mapped into memory, or of an .npz file with one array per column.
-
-    Raises SamplesError for anything else.
-    """
+    """Columns of a .npy file with named fields, mapped into memory, or an .npz with an array each; or SamplesError."""
     file = str(path)
     what = "this is not an array file of NumPy without Python objects, or it is damaged"
     with readable(file, what, "Write it with numpy.save or numpy.savez"):
@@ -123,9 +120,8 @@ def _fields(path: Path, file: str) -> list[tuple[str, NDArray[Any]]]:
     """Fields of one array, in their order; the memory is that of the file."""
     array = np.lib.format.open_memmap(path, mode="r")
     if array.dtype.names is None:
-        raise SamplesError(
-            file, "the array has no named columns", "Give fields such as q1_deg, or an .npz with one array per column"
-        )
+        fix = "Give fields such as q1_deg, or an .npz with one array per column"
+        raise SamplesError(file, "the array has no named columns", fix)
     _check_size(array, path.stat().st_size - array.offset)
     return [(name, array[name]) for name in array.dtype.names]
 
@@ -150,10 +146,7 @@ def _check_size(array: NDArray[Any], size: int) -> None:
 
 
 def check_unpacked(path: Path, file: str) -> None:
-    """Raise SamplesError for an archive with too many members, or that unpacks to too much.
-
-    Raises zipfile.BadZipFile, OSError or the like for what is no archive.
-    """
+    """Raise SamplesError for an archive of too many members, or too much in them; zipfile.BadZipFile for none."""
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
     size, most = sum(member.file_size for member in members), max(UNPACKED, GROWTH * path.stat().st_size)
@@ -197,9 +190,8 @@ def read_workbook(path: str | Path) -> Table:
     try:
         import openpyxl
     except ImportError:
-        raise CasacalError(
-            f"{path} is an Excel workbook, which needs a library", "Install it with pip install openpyxl"
-        ) from None
+        what = f"{path} is an Excel workbook, which needs a library"
+        raise CasacalError(what, "Install it with pip install openpyxl") from None
     file = str(path)
     with readable(file, "this is no readable workbook", "Save it again, or as CSV"):
         check_unpacked(Path(path), file)
@@ -228,9 +220,8 @@ def _first_sheet(book: Any, file: str) -> tuple[str, NumberedRows, NumberedRows]
     """Cells of the first visible sheet as text and those of comments; the file with the sheet's name if it has more."""
     sheets = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"]
     if not sheets:
-        raise SamplesError(
-            file, "the workbook has no visible sheet", "Show the one with the samples, or save it as CSV"
-        )
+        fix = "Show the one with the samples, or save it as CSV"
+        raise SamplesError(file, "the workbook has no visible sheet", fix)
     sheet = sheets[0]
     if len(book.sheetnames) > 1:
         file = f"{file}, sheet '{UNSHOWN.sub('?', sheet.title)[:40]}'"
@@ -247,9 +238,8 @@ def _first_sheet(book: Any, file: str) -> tuple[str, NumberedRows, NumberedRows]
         if len(cells) > width:
             raise SamplesError(file, "a cell has no name in the header", "Name its column", line=number)
         if number in hidden:
-            raise SamplesError(
-                file, "the row is hidden, so that it is not clear whether it counts", "Show or delete it", line=number
-            )
+            what = "the row is hidden, so that it is not clear whether it counts"
+            raise SamplesError(file, what, "Show or delete it", line=number)
         rows.append((number, cells + [""] * (width - len(cells))))
     return file, rows, comments
 
@@ -279,10 +269,7 @@ def _filled(sheet: Any, file: str) -> Iterator[tuple[int, list[str]]]:
         if places > MOST_PLACES:
             what = f"the sheet spans more than {MOST_PLACES:,} cells, most of them empty"
             raise SamplesError(file, what, "Delete the columns beside the samples, or save them as CSV", line=number)
-        width = len(row)
-        while width and row[width - 1] is None:
-            width -= 1
-        cells = [_text(cell) for cell in row[:width]]
+        cells = [_text(cell) for cell in row]
         while cells and not cells[-1]:
             cells.pop()
         if cells:
@@ -306,10 +293,7 @@ def read_columns(path: str | Path) -> Columns:
     """
     path = Path(path)
     recover(path.parent)
-    kind = path.suffix.lower()
-    if kind in ARRAYS:
-        return read_arrays(path)
-    return read_workbook(path).columns if kind in WORKBOOKS else read_table(path).columns
+    return read_arrays(path) if path.suffix.lower() in ARRAYS else read_any_table(path).columns
 
 
 def read_any_table(path: str | Path) -> Table:
@@ -323,10 +307,7 @@ def is_frame(value: Any) -> bool:
 
 
 def columns_of_frame(frame: Any, numbers: Sequence[str], labels: Sequence[str], source: str = "DataFrame") -> Columns:
-    """Columns of a frame: straight from its arrays where the named columns hold numbers, else cell by cell.
-
-    "line" is the row of the frame, counted from 1.
-    """
+    """Columns of a frame: its arrays where the named columns hold numbers, else cell by cell; "line" is its row."""
     header = tuple(str(name) for name in frame.columns)
     if numbers and len(set(header)) == len(header) and all(frame[name].dtype.kind in "iuf" for name in numbers):
         used = {name: frame[name].to_numpy() for name in numbers}

@@ -90,19 +90,6 @@ def check_names(names: Iterable[str], file: str, line: int | None = None) -> Non
         known.add(name)
 
 
-def body(
-    rows: NumberedRows, header: tuple[str, ...], delimiter: str, file: str
-) -> tuple[tuple[tuple[str, ...], ...], tuple[int, ...]]:
-    """Cells of rows and their lines; raises SamplesError unless each has as many as the header."""
-    for number, row in rows:
-        if len(row) != len(header):
-            hint = "; a decimal comma needs semicolons between the cells" if delimiter == "," else ""
-            what = f"the line has {counted(len(row), 'cell')} where the header has {len(header)}"
-            fix = f"Give {counted(len(header), 'cell')} separated by {NAMES[delimiter]}{hint}"
-            raise SamplesError(file, what, fix, line=number)
-    return tuple(tuple(row) for _, row in rows), tuple(number for number, _ in rows)
-
-
 def _cells(text: str, delimiter: str) -> list[str]:
     try:
         return [cell.strip() for cell in next(csv.reader([text], delimiter=delimiter), [])]
@@ -110,24 +97,21 @@ def _cells(text: str, delimiter: str) -> list[str]:
         return []
 
 
-def refuse_rows_set_aside(
-    rows: Sequence[Sequence[str]], comments: NumberedRows, file: str, header: Sequence[str], header_line: int
-) -> None:
+def refuse_rows_set_aside(table: Table, comments: NumberedRows) -> None:
     """Raise SamplesError for a comment below the header that has a number wherever all rows have one.
 
-    rows: all cells, without comments. Rows that begin with numbers have none but comments set aside.
+    Of a table whose rows begin with numbers none but comments were set aside.
     """
-    below = [(number, cells) for number, cells in comments if number > header_line and len(cells) >= len(header)]
-    if not below or all(is_number(row[0]) for row in rows):
+    width = len(table.header)
+    below = [(number, cells) for number, cells in comments if number > table.header_line and len(cells) >= width]
+    if not below or all(is_number(row[0]) for row in table.rows):
         return
-    hold_numbers = [k for k in range(1, len(header)) if all(is_number(row[k]) for row in rows)]
-    for number, cells in below:
-        if hold_numbers and all(is_number(cells[k]) for k in hold_numbers):
-            what = "the line begins with #, but holds a number in each column of numbers, so it may be a row"
-            fix = (
-                'Rename its label, or in a CSV file quote it, as in "#1"; delete a comment, or put it above the header'
-            )
-            raise SamplesError(file, what, fix, line=number)
+    hold_numbers = [k for k in range(1, width) if all(is_number(row[k]) for row in table.rows)]
+    meant = [number for number, cells in below if hold_numbers and all(is_number(cells[k]) for k in hold_numbers)]
+    if meant:
+        what = "the line begins with #, but holds a number in each column of numbers, so it may be a row"
+        fix = 'Rename its label, or in a CSV file quote it, as in "#1"; delete a comment, or put it above the header'
+        raise SamplesError(table.file, what, fix, line=meant[0])
 
 
 STANDARD_INPUT = "-"
@@ -173,10 +157,7 @@ class Table:
         return replace(self, rows=rows, decimal_comma=False)
 
     def numbers(self, name: str) -> list[float]:
-        """Cells of one column as finite numbers.
-
-        Raises SamplesError that names the line of the first cell that is not one.
-        """
+        """Cells of one column as finite numbers; raises SamplesError that names the line of the first that is none."""
         return finite_numbers(self.file, name, self.column(name), self.lines, decimal_comma=self.decimal_comma)
 
 
@@ -250,9 +231,16 @@ def make_table(file: str, sha256: str, rows: NumberedRows, delimiter: str, comme
     if len(rows) == 1:
         fix = "Give one line per sample" + (", and quote labels that begin with #" if comments else "")
         raise SamplesError(file, "there is a header but no line of data", fix, line=header_line)
-    table = Table(file, sha256, header, header_line, *body(rows[1:], header, delimiter, file), decimal_comma=False)
+    for number, row in rows[1:]:
+        if len(row) != len(header):
+            hint = "; a decimal comma needs semicolons between the cells" if delimiter == "," else ""
+            what = f"the line has {counted(len(row), 'cell')} where the header has {len(header)}"
+            fix = f"Give {counted(len(header), 'cell')} separated by {NAMES[delimiter]}{hint}"
+            raise SamplesError(file, what, fix, line=number)
+    lines, cells = zip(*((number, tuple(row)) for number, row in rows[1:]), strict=True)
+    table = Table(file, sha256, header, header_line, cells, lines, decimal_comma=False)
     comma = delimiter != "," and has_decimal_commas(table)
-    refuse_rows_set_aside(table.rows, comments, file, header, header_line)
+    refuse_rows_set_aside(table, comments)
     return replace(table, decimal_comma=comma)
 
 
@@ -275,10 +263,7 @@ def has_decimal_commas(table: Table) -> bool:
 
 
 def joined_tables(poses: Table, readings: Table, *, key: str = KEY) -> Table:
-    """Each pose with the reading, in any order, that carries the same id, compared as text: the columns of both.
-
-    Raises SamplesError when an id is missing, doubled, or without its counterpart.
-    """
+    """Columns of poses and of the readings with the same id; SamplesError for one missing, doubled or alone."""
     for table in (poses, readings):
         if key not in table.header:
             what = f"there is no column '{key}' that says which reading belongs to which pose"

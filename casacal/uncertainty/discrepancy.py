@@ -21,7 +21,6 @@ from casacal.estimators import lm
 from casacal.instruments.dial import dial_cycle, dial_gain
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.problem.problem import Problem
-from casacal.problem.term import Site
 from casacal.uncertainty.effect_sizes import NormalEquations, Sizes, effect_sizes, told
 from casacal.uncertainty.joint_repeatability import WORTH, beforehand, joints_err, with_joints
 from casacal.uncertainty.transfer import in_sample_gains
@@ -189,8 +188,8 @@ def times_found(whole: BoundProblem) -> dict[str, float]:
     problem, found = whole.problem, {}
     for effect in effects_of(problem):
         slot = next((slot for slot in whole.slots if slot.beside == effect.key), None)
-        for instrument in problem.instruments:
-            expected = effect.unknowns(Site(problem.robot, instrument))
+        for i in range(len(problem.instruments)):
+            expected = effect.unknowns(problem.symbols_of(i).site)
             if slot is not None and effect.key in expected:
                 found[effect.key] = float(slot.unknown.prior_stds[0]) / float(expected[effect.key].prior_stds[0])
                 break

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, ClassVar, Self
 
 import casadi as ca
@@ -27,6 +27,18 @@ class Whole(Unknown):
     """What the name of each local coordinate ends in, and its unit."""
     unit_length: ClassVar[int] = 3
     """How many raw coordinates, the first ones, are a vector or quaternion of length one."""
+    held_as_proposed: bool
+    unsaid: ClassVar[tuple[str, str]]
+    """What it lacks when it is held without a nominal, and what to say then."""
+
+    def __post_init__(self) -> None:
+        assert is_dataclass(self)
+        for each in fields(self):
+            object.__setattr__(self, each.name, plain(getattr(self, each.name)))
+        kind, (lacks, fix) = type(self).__name__.lower(), self.unsaid
+        if self.nominal is None and not self.free and not self.held_as_proposed:  # or a sentence
+            raise ProblemError(f"A {kind} is held but has {lacks}", f"{fix}, or leave it free")
+        check_stds(spread(self.prior_std, 2, f"prior_std of a {kind}"), f"prior_std of a {kind}")
 
     @property
     def size(self) -> int:
@@ -61,7 +73,7 @@ class Whole(Unknown):
 
     def raw_constraints(self, raw: Expression) -> list[Expression]:
         """n'n - 1 of a normal or a direction, q'q - 1 of a quaternion."""
-        return [ca.dot(raw[: self.unit_length], raw[: self.unit_length]) - 1] if self.free else []
+        return [ca.sumsqr(raw[: self.unit_length]) - 1] if self.free else []
 
     def names(self, key: str) -> tuple[str, ...]:
         """Such as key.tilt1, key.tilt2."""
@@ -135,17 +147,12 @@ class Direction(Whole):
 
     nominal_size = 9
     parts = (("tilt1", "rad"), ("tilt2", "rad"))
+    unsaid = ("no vector", "Say where it points")
 
     def __post_init__(self) -> None:
-        for name in ("vector", "prior_std", "start_std"):
-            object.__setattr__(self, name, plain(getattr(self, name)))
-        if self.vector is not None:
-            unit_vector(self.vector, "A direction")
-        elif not self.free and not self.held_as_proposed:
-            raise ProblemError("A direction is held but has no vector", "Say where it points, or leave it free")
         if not is_real(self.prior_std):
             raise ProblemError(f"Got {came(self.prior_std)} as the prior_std of a direction", "Give one number of rad")
-        check_stds(np.array([self.prior_std]), "prior_std of a direction")
+        super().__post_init__()
 
     @property
     def nominal(self) -> Array | None:
@@ -177,15 +184,16 @@ class Direction(Whole):
 
     def raw_start(self, nominal: Array) -> Array:
         """Return the three components themselves."""
-        return np.asarray(nominal)[:3] if self.free else np.zeros(0)
+        return np.asarray(nominal)[:3]
 
     def raw_value(self, nominal: Expression, raw: Expression) -> Expression:
         """Return the raw vector, unit only where the constraint holds."""
-        return raw if self.free else nominal[:3]
+        del nominal
+        return raw
 
     def raw_local(self, nominal: Expression, raw: Expression) -> Expression:
         """Two tilts of a raw unit vector."""
-        return tilts_of(nominal, raw) if self.free else ca.DM.zeros(0, 1)
+        return tilts_of(nominal, raw)
 
 
 @dataclass(frozen=True)
@@ -232,16 +240,12 @@ class Plane(Whole):
 
     nominal_size = 12
     parts = (("tilt1", "rad"), ("tilt2", "rad"), ("offset", "mm"))
+    unsaid = ("no normal and no point", "Say where it is")
 
     def __post_init__(self) -> None:
-        for name in ("normal", "point", "prior_std", "start_std"):
-            object.__setattr__(self, name, plain(getattr(self, name)))
         if (self.normal is None) != (self.point is None):
             raise ProblemError("A plane has a normal or a point but not both", "Give both, or neither")
-        if self.normal is None and not self.free and not self.held_as_proposed:
-            raise ProblemError("A plane is held but has no normal and no point", "Say where it is, or leave it free")
-        check_stds(spread(self.prior_std, 2, "prior_std of a plane"), "prior_std of a plane")
-        _ = self.nominal  # or a sentence
+        super().__post_init__()
 
     @property
     def nominal(self) -> Array | None:
@@ -296,15 +300,15 @@ class Plane(Whole):
 
     def raw_start(self, nominal: Array) -> Array:
         """Return the normal's three components, and offset 0."""
-        return np.concatenate([np.asarray(nominal)[:3], [0.0]]) if self.free else np.zeros(0)
+        return np.append(np.asarray(nominal)[:3], 0.0)
 
     def raw_value(self, nominal: Expression, raw: Expression) -> PlaneValue:
         """Plane of a raw normal, unit only where the constraint holds."""
-        return PlaneValue(raw[:3], nominal[9:12], raw[3]) if self.free else self.at(nominal, raw)
+        return PlaneValue(raw[:3], nominal[9:12], raw[3])
 
     def raw_local(self, nominal: Expression, raw: Expression) -> Expression:
         """Tilts and offset of a raw plane with unit normal."""
-        return ca.vertcat(tilts_of(nominal, raw[:3]), raw[3]) if self.free else ca.DM.zeros(0, 1)
+        return ca.vertcat(tilts_of(nominal, raw[:3]), raw[3])
 
 
 @dataclass(frozen=True)
@@ -335,14 +339,7 @@ class Frame(Whole):
     nominal_size = 12
     unit_length = 4
     parts = (("rx", "rad"), ("ry", "rad"), ("rz", "rad"), ("x", "mm"), ("y", "mm"), ("z", "mm"))
-
-    def __post_init__(self) -> None:
-        for name in ("matrix", "prior_std", "start_std"):
-            object.__setattr__(self, name, plain(getattr(self, name)))
-        if self.matrix is None and not self.free and not self.held_as_proposed:
-            raise ProblemError("A frame is held but has no matrix", "Say where it is, or leave it free")
-        check_stds(spread(self.prior_std, 2, "prior_std of a frame"), "prior_std of a frame")
-        _ = self.nominal  # or a sentence
+    unsaid = ("no matrix", "Say where it is")
 
     @property
     def size(self) -> int:
@@ -356,10 +353,7 @@ class Frame(Whole):
 
     @staticmethod
     def encode(matrix: Array) -> Array:
-        """Numbers (12,) that fix a nominal frame.
-
-        Raises ProblemError when the matrix is not a rigid transform.
-        """
+        """Numbers (12,) that fix a nominal frame; raises ProblemError when the matrix is not a rigid transform."""
         good = matrix.shape == (4, 4) and np.isfinite(matrix).all()
         if not good or not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-6):
             raise ProblemError("A frame is not a rigid 4x4 transform", "Give a rotation matrix and a translation in mm")
@@ -369,11 +363,10 @@ class Frame(Whole):
 
     def at(self, nominal: Expression, local: Expression) -> Expression:
         """4x4 transform at six local coordinates."""
-        if not self.free:
-            return self._assemble(nominal, ca.DM.eye(3), ca.DM.zeros(3, 1))
+        local = local if self.free else ca.DM.zeros(6)
         # a rotation by angle phi is the unit quaternion at phi / 2 from the pole
         w, xyz = stereographic(local[:3] / 2)
-        return self._assemble(nominal, rotation_of_quaternion(ca.vertcat(w, xyz)), self._shift(local[3:]))
+        return self._moved(nominal, ca.vertcat(w, xyz), local[3:])
 
     def shown(self, nominal: Array, local: Array) -> tuple[str, Any]:
         """4x4, mm."""
@@ -393,28 +386,20 @@ class Frame(Whole):
     def raw_start(self, nominal: Array) -> Array:
         """Return the unit quaternion of no rotation, and no translation."""
         del nominal
-        return np.eye(self.raw_size)[0] if self.free else np.zeros(0)
+        return np.asarray(np.eye(self.raw_size)[0])
 
     def raw_value(self, nominal: Expression, raw: Expression) -> Expression:
         """4x4 transform of a raw quaternion, rigid only where the constraint holds."""
-        if not self.free:
-            return self.at(nominal, raw)
-        return self._assemble(nominal, rotation_of_quaternion(raw[:4]), self._shift(raw[4:]))
+        return self._moved(nominal, raw[:4], raw[4:])
 
     def raw_local(self, nominal: Expression, raw: Expression) -> Expression:
         """Six local coordinates of a raw frame with unit quaternion."""
         del nominal
-        if not self.free:
-            return ca.DM.zeros(0, 1)
         return ca.vertcat(2 * stereographic_local(raw[0], raw[1:4]), raw[4:])
 
-    def _shift(self, local: Expression) -> Expression:
-        return ca.DM.zeros(3, 1) if self.turns_only else local
-
-    @staticmethod
-    def _assemble(nominal: Expression, turn: Expression, shift: Expression) -> Expression:
-        columns = ca.horzcat(nominal[0:3], nominal[3:6], nominal[6:9])
-        return rigid(ca.mtimes(columns, turn), nominal[9:12] + shift)
+    def _moved(self, nominal: Expression, quaternion: Expression, shift: Expression) -> Expression:
+        turn = ca.mtimes(ca.reshape(nominal[:9], 3, 3), rotation_of_quaternion(quaternion))
+        return rigid(turn, nominal[9:12] + (ca.DM.zeros(3) if self.turns_only else shift))
 
 
 ON_A_LINE = 1e-9  # fraction of the largest extent below which points count as lying on a line
@@ -469,10 +454,8 @@ APART = 1e-3
 def hand_eye(turns: Array, places: Array, quaternions: Array, read: Array) -> tuple[Array, Array] | None:
     """Body and station (4, 4; mm) that fit best, or None where the rows do not fix them.
 
-    Args:
-        turns, places: rotations (N, 3, 3) and origins (N, 3; mm) of the flange in the base frame.
-        quaternions, read: of the body in the device's frame: w, x, y, z (N, 4), and origins (N, 3; mm).
-
+    turns, places: rotations (N, 3, 3) and origins (N, 3; mm) of the flange in the base frame. quaternions, read: of the
+    body in the device's frame: w, x, y, z (N, 4), and origins (N, 3; mm).
     """
     apart = np.linalg.svd(np.einsum("kia,kjb->ijab", turns, turns).reshape(9, 9), compute_uv=False)
     if len(turns) < 3 or apart[0] - apart[1] < APART * apart[0]:  # of turns about one axis the largest two are alike

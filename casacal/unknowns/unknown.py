@@ -67,9 +67,9 @@ class Unknown(ABC):
         """How many numbers fix a nominal value."""
 
     @property
-    @abstractmethod
     def raw_size(self) -> int:
-        """Number of raw coordinates."""
+        """Number of raw coordinates; as many as local ones unless a kind says otherwise."""
+        return self.size
 
     @abstractmethod
     def names(self, key: str) -> tuple[str, ...]:
@@ -101,19 +101,13 @@ class Unknown(ABC):
         return matrix
 
     def shown(self, nominal: Array, local: Array) -> tuple[str, Any]:
-        """What result.json says of it at local coordinates (size,): under which heading, and the numbers.
-
-        No heading for numbers, which stand among the parameters.
-        """
+        """Heading in result.json and numbers at local coordinates (size,); no heading for parameters."""
         del nominal, local
         return "", None
 
     @abstractmethod
     def placed(self, near: Array, normal: Array) -> Array:
-        """Numbers of a nominal for a simulated thing whose place is not stated.
-
-        Near a point (3, mm); where it is flat, it looks along `normal` (3).
-        """
+        """Numbers of a simulated nominal near a point (3, mm); where it is flat, it looks along `normal` (3)."""
 
     def recentred(self, nominal: Array, local: Array) -> Array:
         """Numbers of a nominal where local coordinates (size,) lead from one; as it was where a kind does not say."""
@@ -122,7 +116,7 @@ class Unknown(ABC):
 
     @abstractmethod
     def raw_start(self, nominal: Array) -> Array:
-        """Raw coordinates of the nominal."""
+        """Raw coordinates of the nominal; nobody asks where all is held, nor for the two that follow."""
 
     @abstractmethod
     def raw_value(self, nominal: Expression, raw: Expression) -> Expression:
@@ -159,10 +153,7 @@ class Unknown(ABC):
 
 
 def spread(values: float | Sequence[float], count: int, what: str) -> Array:
-    """One number for all, or one each: an array (count,).
-
-    Raises ProblemError when the number of values fits neither.
-    """
+    """One number for all, or one each: an array (count,); raises ProblemError when their number fits neither."""
     array = np.asarray(values, dtype=np.float64)
     if array.ndim == 0:
         return np.full(count, float(array))
@@ -174,16 +165,12 @@ def spread(values: float | Sequence[float], count: int, what: str) -> Array:
 def check_stds(stds: Array, what: str) -> None:
     """Refuse standard deviations that are not positive; infinity means a flat prior."""
     if np.isnan(stds).any() or (stds <= 0).any():
-        raise ProblemError(
-            f"{what} is {_shown(stds)}",
-            "A standard deviation is positive, or math.inf for a flat prior; use free=False to hold a value",
-        )
+        fix = "A standard deviation is positive, or math.inf for a flat prior; use free=False to hold a value"
+        raise ProblemError(f"{what} is {_shown(stds)}", fix)
     absurd = np.isfinite(stds) & ((stds > LARGEST_STD) | (stds < 1 / LARGEST_STD))
     if absurd.any():
-        raise ProblemError(
-            f"{what} is {stds[absurd][0]:g}, which no prior knowledge is",
-            "Give math.inf (inf on the command line) for a flat prior, or free=False (--fix) to hold a value",
-        )
+        fix = "Give math.inf (inf on the command line) for a flat prior, or free=False (--fix) to hold a value"
+        raise ProblemError(f"{what} is {stds[absurd][0]:g}, which no prior knowledge is", fix)
 
 
 def start_stds(prior: Array, start: Array | None, units: tuple[str, ...], what: str) -> Array:
@@ -258,9 +245,8 @@ class Parameter(Unknown):
         if self._all.ndim > 1 or self._all.size == 0 or not np.isfinite(self._all).all():
             raise ProblemError(f"A parameter has the nominal value {self.values!r}", "Give one finite number, or a row")
         if self.labels is not None and len(self.labels) != self._all.size:
-            raise ProblemError(
-                f"A parameter of {self._all.size} values has {len(self.labels)} labels", "Give one label per value"
-            )
+            what = f"A parameter of {self._all.size} values has {len(self.labels)} labels"
+            raise ProblemError(what, "Give one label per value")
         if self.values is None and not self._free.all() and not self.held_as_proposed:
             raise ProblemError("A parameter is held but has no value", "Give its value, or leave it free")
         check_stds(self._prior, "prior_std of a parameter")
@@ -279,9 +265,8 @@ class Parameter(Unknown):
     def _prior(self) -> Array:
         given = self.prior_std
         if given is None and self.values is not None and self.unit not in PRIOR_STD:
-            raise ProblemError(
-                f"A parameter in '{self.unit}' has no prior_std", "Give one, or math.inf for a flat prior"
-            )
+            what = f"A parameter in '{self.unit}' has no prior_std"
+            raise ProblemError(what, "Give one, or math.inf for a flat prior")
         if given is None:
             given = math.inf if self.values is None else PRIOR_STD[self.unit]
         return spread(given, self._all.size, "prior_std of a parameter")
@@ -318,11 +303,6 @@ class Parameter(Unknown):
         """One number per component."""
         return self._all.size
 
-    @property
-    def raw_size(self) -> int:
-        """One number per free component."""
-        return self.size
-
     def component_names(self, key: str) -> tuple[str, ...]:
         """Names of all components, free or held: the key itself for a scalar, else key1, key2, ..."""
         if self._all.ndim == 0:
@@ -336,10 +316,8 @@ class Parameter(Unknown):
 
     def at(self, nominal: Expression, local: Expression) -> Expression:
         """Nominal plus deviation: a scalar, or a vector of all components."""
-        entries, free = [], 0
-        for i, is_free in enumerate(self._free):
-            entries.append(nominal[i] + local[free] if is_free else nominal[i])
-            free += int(is_free)
+        places = np.cumsum(self._free) - 1  # of each free component in `local`
+        entries = [nominal[i] + local[int(places[i])] if free else nominal[i] for i, free in enumerate(self._free)]
         return entries[0] if self._all.ndim == 0 else ca.vertcat(*entries)
 
     def placed(self, near: Array, normal: Array) -> Array:
@@ -364,8 +342,7 @@ class Parameter(Unknown):
 
     def raw_local(self, nominal: Expression, raw: Expression) -> Expression:
         """Deviations from nominal."""
-        free = np.flatnonzero(self._free).tolist()
-        return ca.vertcat(raw - nominal[free]) if free else ca.vertcat()
+        return ca.vertcat(raw - nominal[np.flatnonzero(self._free).tolist()])
 
     def with_free(self, free: Sequence[bool]) -> Parameter:
         """Copy that keeps free only the flagged ones of its free components."""

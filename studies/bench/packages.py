@@ -26,7 +26,8 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import bind
 from casacal.errors import CasacalError
 from casacal.export.controllers import roll_pitch_yaw
-from casacal.instruments import TrackedPoint, TrackedPose
+from casacal.instruments.points import TrackedPoint
+from casacal.instruments.tracked_pose import TrackedPose
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.unknowns.geometry import rigid_fit, transform
