@@ -51,15 +51,12 @@ def run(options: argparse.Namespace) -> int:
             axes = ", ".join(f"{row} and {row + 1}" for row in table.parallel)
             say_paragraphs(f"Parallel axes: {axes}; there Hayati's angle beta is calibrated in place of d")
     else:
-        folder, arm = new_from_urdf(
-            options.name, options.urdf, options.out, tip=options.tip, base=options.base, given=given
-        )
+        tip, base = options.tip, options.base
+        folder, arm = new_from_urdf(options.name, options.urdf, options.out, tip=tip, base=base, given=given)
         say_paragraphs(f"{arm.name}: {len(arm.moving)} joints from '{arm.chain[0].parent}' to '{arm.chain[-1].child}'")
     place = folder.as_posix()
-    say_paragraphs(f"Written: {place}")
+    say_paragraphs(f"Written: {place}", *(f"To fill in: {words}" for words in given.missing))
     following = f"casacal simulate {place} --out out/{options.name}_samples.csv"
-    for words in given.missing:
-        say_paragraphs(f"To fill in: {words}")
     say_paragraphs(f"Next: {f'fill these in {place}/problem.py, then ' if given.missing else ''}{following}")
     return DONE
 

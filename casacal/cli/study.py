@@ -59,13 +59,13 @@ def run(options: argparse.Namespace) -> int:
 def run_source(source: StudyFile, options: argparse.Namespace) -> int:
     """Run a study and write its report as the options say; returns as `run` does."""
     try:
-        return _study(source, options)
+        return _reported(source, options)
     except KeyboardInterrupt:
         complain("Interrupted. The records so far are kept; --resume continues from there.")
         return INTERRUPTED
 
 
-def _study(source: StudyFile, options: argparse.Namespace) -> int:
+def _reported(source: StudyFile, options: argparse.Namespace) -> int:
     from casacal.study import Run
     from casacal.study.study_file import machine, note_machines, write_report
 
@@ -73,7 +73,7 @@ def _study(source: StudyFile, options: argparse.Namespace) -> int:
         say_paragraphs(f"Skipped: {source.skipped}")
         return DONE
     study = source.form(quick=options.quick, trials=options.trials)
-    out = Path(options.out or Path("out") / (source.name + ("-quick" if options.quick else "")))
+    out = Path(options.out or f"out/{source.name}{'-quick' if options.quick else ''}")
     if study is None:
         run = Run(None, (), out, options.quick)
         note_machines(out, [machine()])
@@ -103,6 +103,12 @@ def _made(source: StudyFile, study: Study, out: Path, options: argparse.Namespac
         if runs.missing(study, found):
             complain(f"{runs.missing(study, found)} records are missing; --resume makes them")
         return found
+    shard = 1, 1
+    if options.shard is not None:
+        part, _, parts_in_all = options.shard.partition("/")
+        shard = (int(part), int(parts_in_all)) if part.isdecimal() and parts_in_all.isdecimal() else (0, 0)
+        if not 1 <= shard[0] <= shard[1]:
+            raise CasacalError(f"--shard {options.shard} is not I/N", "Give part/parts, such as 2/3")
     made_here = machine(options.workers, cluster=options.scheduler is not None)
     with Progress(source.name, lambda: note_machines(out, [made_here])) as progress:
         return runs.run(
@@ -112,24 +118,11 @@ def _made(source: StudyFile, study: Study, out: Path, options: argparse.Namespac
             quick=options.quick,
             workers=options.workers,
             scheduler=options.scheduler,
-            shard=_shard(options.shard),
+            shard=shard,
             resume=options.resume,
             timeout=options.timeout,
             progress=progress,
         )
-
-
-def _shard(text: str | None) -> tuple[int, int]:
-    if text is None:
-        return 1, 1
-    part, _, parts = text.partition("/")
-    try:
-        number, count = int(part), int(parts)
-    except ValueError:
-        number = count = 0
-    if not 1 <= number <= count:
-        raise CasacalError(f"--shard {text} is not I/N", "Give part/parts, such as 2/3")
-    return number, count
 
 
 class Progress:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import ctypes
 import errno
 import os
@@ -109,6 +110,14 @@ def say_json(document: Mapping[str, Any]) -> None:
     from casacal.files import json_text
 
     _write(json_text(document, ascii_only=True), sys.stdout)
+
+
+def answer(options: argparse.Namespace, document: Mapping[str, Any], *texts: str) -> None:
+    """Print what a command found: as JSON where --json asks for it, else in paragraphs."""
+    if options.json:
+        say_json(document)
+    else:
+        say_paragraphs(*texts)
 
 
 def complain(text: str) -> None:

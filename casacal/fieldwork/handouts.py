@@ -73,17 +73,16 @@ def approaches(
     """
     probe = problem.instrument.probe
     if probe is None:
-        fix = "Use the plan's CSV"
-        raise CasacalError(f"{type(problem.instrument).__name__} has no plunger that could be drawn back", fix)
-    still = cell_of(problem, cell)
-    samples = route.samples
+        what = f"{type(problem.instrument).__name__} has no plunger that could be drawn back"
+        raise CasacalError(what, "Use the plan's CSV")
+    still, samples = cell_of(problem, cell), route.samples
     arm, readings, tips, axes = drawn_touch(problem, probe, samples)
-    levels = [_above(arm, samples.joints, readings, tips, axes, retreat * times) for times in HIGHER]
-    back = np.isfinite(levels[0]).all(axis=1)
+    every = [_above(arm, samples.joints, readings, tips, axes, retreat * times) for times in HIGHER]
+    back = np.isfinite(every[0]).all(axis=1)
     if not back.any():
         what = f"From no touch can the arm draw back by {retreat:g} mm inside its joint limits"
         raise CasacalError(what, "Give a smaller --retreat")
-    levels = [level[back] for level in levels]
+    levels = [level[back] for level in every]
     chosen, clear = np.zeros(int(back.sum()), dtype=int), np.ones(int(back.sum()), dtype=bool)
     if isinstance(still, Cell):
         stands = above_table(problem.robot, still.table, (clearance and clearance.link_radius) or 0.0)
@@ -95,25 +94,17 @@ def approaches(
     if isinstance(still, Cell):
         places = levels[-1][np.isfinite(levels[-1]).all(axis=1)]
         for k in np.flatnonzero(~clear).tolist():
-            found = _through(is_clear, places, above[k - 1], above[k])
-            if found is not None:
-                via[k], clear[k] = found, True
-
-    def of_all(found: Array) -> Array:
-        whole = np.full((len(samples), *found.shape[1:]), np.nan)
-        whole[back] = found
-        return whole
-
-    return Approaches(of_all(above), of_all(retreat * np.array(HIGHER)[chosen]), of_all(via), of_all(clear) == 1)
-
-
-def _through(clear: Clear, places: Array, start: Array, end: Array) -> Array | None:
-    """A place by which the way is clear, the one with the shortest way first; None where there is none."""
-    ways = np.abs(places - start).max(axis=1) + np.abs(places - end).max(axis=1)
-    for k in np.argsort(ways)[:MOST_PLACES]:
-        if clear(start, places[k]) and clear(places[k], end):
-            return np.asarray(places[k])
-    return None
+            start, end = above[k - 1], above[k]
+            lengths = np.abs(places - start).max(axis=1) + np.abs(places - end).max(axis=1)
+            for place in places[np.argsort(lengths)[:MOST_PLACES]]:  # the shortest way first
+                if is_clear(start, place) and is_clear(place, end):
+                    via[k], clear[k] = place, True
+                    break
+    of_all = np.full((2, *every[0].shape), np.nan)
+    retreats, free = np.full(len(route), np.nan), np.zeros(len(route), dtype=np.bool_)
+    of_all[:, back], free[back] = (above, via), clear
+    retreats[back] = retreat * np.array(HIGHER)[chosen]
+    return Approaches(of_all[0], retreats, of_all[1], free)
 
 
 def _raised(clear: Clear, levels: list[Array], chosen: Index, k: int) -> bool:
@@ -147,9 +138,8 @@ def _is_clear(
         height = local[over, 0]
         if (height < FREE).any() and not (height < -FREE).all():  # wholly behind it, it is another side's matter
             return False
-    if not stands(joints, tips).all():
-        return False
-    return clearance is None or bool(clearance.clear(arm.robot, None, joints, tips).all())
+    free = clearance is None or bool(clearance.clear(arm.robot, None, joints, tips).all())
+    return free and bool(stands(joints, tips).all())
 
 
 def _above(arm: TouchingArm, joints: Array, readings: Array, tips: Array, axes: Array, retreat: float) -> Array:
@@ -216,9 +206,8 @@ PROGRAMS: Mapping[str, RobotProgram] = FrozenMapping(
 def program_text(problem: Problem, route: Route, ways: Approaches, language: str, name: str) -> str:
     """A plan as a program: comments, then for each touch a move above it, the touch, a wait, and back.
 
-    name: of the problem. Where no clear way leads to a touch, the program stops before it; from where the arm cannot
-    draw back, it does not go. Raises CasacalError for a
-    robot whose joints the language does not hold, UnknownNameError for a language that there is not.
+    name: of the problem. The program stops before a touch without a clear way, and leaves out one from which the arm
+    cannot draw back. Raises CasacalError for a robot whose joints the language does not hold, UnknownNameError.
     """
     refuse_unknown("language of programs", [language], PROGRAMS)
     form = PROGRAMS[language]
@@ -271,17 +260,12 @@ def sheet_page(problem: Problem, route: Route, name: str, notes: Sequence[str] =
     read = [f"{column}{_unit(kind)}" for column, kind in layout.columns.items()] or ["touched"]
     rows = []
     for k, purpose in enumerate(route.purposes):
-        picture = [] if pictures is None else [pictures[k]]
         numbers = joints_shown(samples.joints[k], layout)
         numbers += [f"{samples.columns[column][k] * WRITTEN[kind][1]:.2f}" for column, kind in layout.columns.items()]
-        rows.append(
-            {
-                "purpose": purpose,
-                "number": f"{k + 1}{' again' if purpose == 'again' else ''}",
-                "words": [*picture, *(samples.labels[label][k] for label in layout.labels)],
-                "numbers": numbers,
-            }
-        )
+        words: list[str] = [] if pictures is None else [pictures[k]]
+        words += [samples.labels[label][k] for label in layout.labels]
+        number = f"{k + 1}{' again' if purpose == 'again' else ''}"
+        rows.append({"purpose": purpose, "number": number, "words": words, "numbers": numbers})
     titles = ["", *([] if pictures is None else ["posture"]), *layout.labels, *joints, *expected, *read]
     approach = problem.instrument.words.approach
     said = {"robot": problem.robot.name, "name": name, "approach": sentence(approach) if approach else ""}
@@ -300,8 +284,7 @@ def _pictures(problem: Problem, route: Route) -> list[Markup] | None:
     except ProblemError:
         return None
     arms = np.concatenate([nodes, nominal_tips(problem, 0, route.samples)[:, None]], axis=1)
-    side = np.stack([np.hypot(arms[..., 0], arms[..., 1]), arms[..., 2]], axis=-1)
-    top = arms[..., :2]
+    side, top = np.stack([np.hypot(arms[..., 0], arms[..., 1]), arms[..., 2]], axis=-1), arms[..., :2]
     return [_picture([(side[k], side), (top[k], top)]) for k in range(len(arms))]
 
 
@@ -309,8 +292,8 @@ def _picture(views: list[tuple[Array, Array]]) -> Markup:
     """Views side by side, each of one arm in the frame of all."""
     parts = []
     for place, (arm, all_of_them) in enumerate(views):
-        low, high = all_of_them.reshape(-1, 2).min(axis=0), all_of_them.reshape(-1, 2).max(axis=0)
-        unit = max(float((high - low).max()), 1e-9) / (HIGH - 6)
+        low = all_of_them.min(axis=(0, 1))
+        unit = max(float(np.ptp(all_of_them, axis=(0, 1)).max()), 1e-9) / (HIGH - 6)
         x = place * WIDE + 3 + (arm[:, 0] - low[0]) / unit
         y = HIGH - 3 - (arm[:, 1] - low[1]) / unit
         line = "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(x, y, strict=True))

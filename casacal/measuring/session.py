@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -10,17 +11,7 @@ from casacal.array_types import Array
 from casacal.errors import CasacalError, came, refuse_unknown
 from casacal.estimators.sckf import Belief
 from casacal.measuring.examine import Alarm, SessionSetting, SessionState, Suspected, refuse_along
-from casacal.measuring.known import (
-    Known,
-    Pool,
-    chance_of,
-    counts,
-    error_below,
-    expected_error,
-    innovations_at,
-    known_before,
-    spectrum,
-)
+from casacal.measuring.known import Known, Pool, chance_of, counts, error_below, innovations_at, known_before, spectrum
 from casacal.measuring.touch import Slip, Touch, columns_of, joints_of, labels_of, rows_of, slips_of
 from casacal.planning.choice import Clearance, refuse_several, wanted_field, wanted_joints
 from casacal.planning.route import CHECK, FIT, Route
@@ -102,13 +93,8 @@ class Session(Value):
             fix = "Answer first, by undo(), keep() or correct(suspect)"
             raise CasacalError(f"Touch {self.shown(self.alarm.touch)} is in doubt", fix)
         planned, layout = self.planned(number), self.problem.layout()
-        touch = Touch(
-            joints_of(q, layout),
-            columns_of(reading, layout),
-            labels_of(plane, layout, planned),
-            number,
-            FIT if planned is None else planned.purpose,
-        )
+        joints, columns, labels = joints_of(q, layout), columns_of(reading, layout), labels_of(plane, layout, planned)
+        touch = Touch(joints, columns, labels, number, FIT if planned is None else planned.purpose)
         for column, known in () if self.plan is None else self.plan.samples.labels.items():
             refuse_unknown(f"{column} of the plan", [touch.labels[column]], known.names)
         if self.known is not None and self.known.knows(touch):
@@ -156,11 +142,11 @@ class Session(Value):
         been touched, and where all that was planned is and no tolerance asks for more. Raises SimulationError where no
         further touch is found.
         """
+        if self.done:
+            return None
         done = {touch.number for touch in self.touches} | self.skipped
         left = [touch for touch in self._all_planned if touch.number not in done]
         known = self.state.known
-        if self.done:
-            return None
         if left:
             # those to fit by what they tell, then the others in order
             told = [touch for touch in left if touch.purpose == FIT and known is not None and known.knows(touch)]
@@ -169,14 +155,15 @@ class Session(Value):
             return told[Pool.of(known, rows_of(told)).most_telling(known.covariance, self.field)]
         if self.tolerance is None or known is None or self.field is None:
             return None
-        return Touch.of(self._pool.samples, self._pool.most_telling(known.covariance, self.field))
+        pool = Pool.of(known, self._setting.further)
+        return Touch.of(pool.samples, pool.most_telling(known.covariance, self.field))
 
     def needed(self) -> int | None:
         """How many more well-chosen touches the tolerance takes; None where there is none, or 200 are not enough."""
         known = self.state.known
         if self.tolerance is None or known is None or self.field is None:
             return None
-        return self._pool.needed(known, self.field, self.tolerance)
+        return Pool.of(known, self._setting.further).needed(known, self.field, self.tolerance)
 
     def shown(self, k: int) -> int:
         """The number by which people know a touch: the plan's, and beyond it the numbers that follow."""
@@ -238,7 +225,7 @@ class Session(Value):
     @property
     def tip_error(self) -> float | None:
         """Tip error to expect where it is wanted, mm RMS, apart from the base's position; None before any touch."""
-        return None if self.weights is None else expected_error(self.weights)
+        return None if self.weights is None else math.sqrt(float(self.weights.sum()))
 
     @property
     def tip_error_below(self) -> float | None:
@@ -298,11 +285,6 @@ class Session(Value):
         every = (*touches, *self._all_planned)
         labels = {name: tuple(dict.fromkeys(each.labels[name] for each in every)) for name in touches[k].labels}
         return slips_of(self.problem, touches[k], self.planned(touches[k].number), labels)
-
-    @cached_property
-    def _pool(self) -> Pool:
-        assert self.state.known is not None
-        return Pool.of(self.state.known, self._setting.further)
 
     @cached_property
     def _setting(self) -> SessionSetting:
