@@ -47,10 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--box X0:X1,Y0:Y1,Z0:Z1", "also give the tip error expected inside this box, mm, base frame")
     add(parser, "--noise", "found (default): from the rows, but at least as stated", choices=("found", "stated"))
     add(parser, "--keep-outliers", "fit all rows, including outliers")
-    words = (
-        "kit (default): allow for errors beside the geometry, such as gravity sag and backlash, and correct "
-        "those that improve held-out rows; none: geometry alone"
-    )
+    words = "kit (default): allow for errors beside the geometry, such as gravity sag and backlash, and correct "
+    words += "those that improve held-out rows; none: geometry alone"
     add(parser, "--discrepancy", words, default="kit", choices=("kit", "none"))
     words = "solver of the cross-check: ipopt (default), fatrop, sqpmethod or another nlpsol plug-in of CasADi"
     add(parser, "--reference NAME", words)
@@ -126,11 +124,11 @@ def _since(options: argparse.Namespace) -> tuple[dict[str, float | None], list[s
     stds: dict[str, float | None] = dict.fromkeys(name for name in given if "=" not in name)
     stds |= common.stds_of("--loosen", [name for name in given if "=" in name], "theta=2e-5")
     standing = common.names_of("--standing", options.standing)
+    if options.prior_from is None and not stds and not standing:
+        return {}, [], None
     if options.prior_from is None:
-        if stds or standing:
-            fix = "Name the earlier result: --prior-from RESULT"
-            raise CasacalError("Got --loosen or --standing without --prior-from", fix)
-        return stds, standing, None
+        what = "Got --loosen or --standing without --prior-from"
+        raise CasacalError(what, "Name the earlier result: --prior-from RESULT")
     if options.prior or options.accuracy is not None:
         what = "Got --prior or --accuracy, which say how good the drawing is, with --prior-from"
         raise CasacalError(what, "Say with --loosen NAME=STD what may have changed since the earlier result")

@@ -118,10 +118,7 @@ def fresh_rows(options: argparse.Namespace) -> tuple[CalibratedArm, ProblemFile 
 
 
 def spare(outs: Iterable[str | Path], *inputs: str | Path | None, option: str = "--out", own: bool = False) -> None:
-    """Raise CasacalError where a command would write over what it reads, or what casacal did not write.
-
-    own: whether the command itself knows its own files from others.
-    """
+    """Raise CasacalError where a command would write over its inputs or, unless `own`, over files of others."""
     from casacal.files import recover, refuse_others
 
     read = [Path(given) for given in inputs if given is not None and Path(given).is_file()]
@@ -173,19 +170,14 @@ def box_of(text: str, *, option: str = "--box") -> tuple[tuple[float, float], tu
 def add_samples(parser: argparse.ArgumentParser) -> None:
     """The samples a command reads, and readings that come apart from them."""
     add(parser, "[SAMPLES]", "CSV (-: standard input), .xlsx, .npy or .npz; default: samples.csv beside the problem")
-    words = (
-        "samples of each of several instruments, such as --samples dial=a.csv --samples tracker=b.csv; default: "
-        "samples-dial.csv and so on beside the problem"
-    )
+    words = "samples of each of several instruments, such as --samples dial=a.csv --samples tracker=b.csv; default: "
+    words += "samples-dial.csv and so on beside the problem"
     add(parser, "--samples NAME=FILE ...", words, dest="sets")
     _add_readings(parser)
 
 
 def sample_files(source: ProblemFile, options: argparse.Namespace) -> dict[str, str]:
-    """The samples file of each instrument, by its name: those that were named, or those beside the problem.
-
-    Raises CasacalError where there is none, and for an instrument that there is not.
-    """
+    """The samples file of each instrument, by its name: as named, or beside the problem; CasacalError where none is."""
     names = source.problem.names
     if len(names) == 1:
         if options.sets:

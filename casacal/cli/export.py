@@ -16,10 +16,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = "Write a calibrated arm in a form that other programs read."
     add(parser, *RESULT)
     add(parser, *INSTRUMENT)
-    words = (
-        "DH table (CSV, or TOML where FILE ends in .toml), URDF, zero corrections (CSV), the kinematics file of "
-        "ur_description (YAML), C99, a casadi.Function, or the frame of a work object (--faces or --points)"
-    )
+    words = "DH table (CSV, or TOML where FILE ends in .toml), URDF, zero corrections (CSV), the kinematics file of "
+    words += "ur_description (YAML), C99, a casadi.Function, or the frame of a work object (--faces or --points)"
     add(parser, "--to", words, choices=("dh", "urdf", "zeros", "ur", "c", "casadi", "frame"), required=True)
     add(parser, "--out FILE", "file to write", required=True)
     add(parser, "--source FILE", "for urdf: a file of yours to copy with only its numbers changed")

@@ -17,7 +17,6 @@ from casacal.errors import CasacalError
 if TYPE_CHECKING:
     from casacal.planning.choice import Clearance
     from casacal.planning.plan import Plan
-    from casacal.planning.set_ups import SetUp
     from casacal.problem.problem_file import ProblemFile
 
 HELP = "plan which touches to make"
@@ -56,8 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Plan as the options say; returns 0."""
     from casacal.planning.plan import cell_words, document, told
-    from casacal.planning.route import FIT
-    from casacal.planning.set_ups import POOL, set_ups
+    from casacal.planning.route import FIT, touches_needed
+    from casacal.planning.set_ups import POOL, SetUp, set_ups
     from casacal.problem.problem_file import load_problem
 
     if options.touches is not None and options.tolerance is not None:
@@ -68,22 +67,24 @@ def run(options: argparse.Namespace) -> int:
     outs = [options.out, *([] if options.sheet is None else [options.sheet])]
     common.spare(outs, *(file.path for file in source.files), source.samples, options.targets, options.after)
     warned = _wrong_with(source, options)
-    source = common.on_table(source, options)
-    clearance = common.clearance_of(options)
+    source, clearance = common.on_table(source, options), common.clearance_of(options)
     found = _planned(source, options, clearance)
     written = _written(source, options, found, clearance)
-    compared: tuple[SetUp, ...] = ()
-    fitted = found.purposes.count(FIT)
-    if options.setups or (source.problem.instrument.probe is not None and options.after is None and fitted <= POOL):
+    compared, fitted, later = tuple[SetUp, ...](), found.purposes.count(FIT), options.after is not None
+    if options.setups or (source.problem.instrument.probe is not None and not later and fitted <= POOL):
         box, targets = common.where(options, source)
         compared = set_ups(source.problem, source.cell, touches=fitted, box=box, targets=targets, seed=options.seed)
-    warned = [*_too_few(source, found, fitted, options), *warned]
+    if fitted < (least := touches_needed(source.problem, found.samples)) and not later:
+        what = (
+            f"{fitted} touches are fitted, but casacal calibrate needs at least {least} for all unknowns. Ask for more"
+        )
+        warned = [f"{what}, keep fewer to verify, or hold parameters", *warned]
     if options.json:
         say_json({**document(found, source.problem, compared, written, clearance), "warnings": warned})
         return DONE
     there = "inside the box" if options.box else "over the workspace" if options.targets is None else "at the targets"
-    later, kept = options.after is not None, clearance is not None
-    said = told(found, compared, where=there, pool=options.pool, after=later, every=options.setups, kept_clear=kept)
+    every, kept = options.setups, clearance is not None
+    said = told(found, compared, where=there, pool=options.pool, after=later, every=every, kept_clear=kept)
     say_paragraphs(*cell_words(found, source.problem, clearance), *said)
     say_paragraphs(*(f"warning: {each}" for each in warned), *(f"Written: {place}" for place in written))
     named = [] if options.instrument is None else [f"--instrument={options.instrument}"]
@@ -93,19 +94,6 @@ def run(options: argparse.Namespace) -> int:
     command = shlex.join(["casacal", "measure", options.problem, *named, "--plan", options.out, "--out"])
     say_paragraphs(f"Next: {command} SAMPLES")
     return DONE
-
-
-def _too_few(source: ProblemFile, found: Plan, fitted: int, options: argparse.Namespace) -> list[str]:
-    """A warning where a calibration of these touches alone would be refused."""
-    from casacal.planning.route import touches_needed
-
-    least = touches_needed(source.problem, found.samples)
-    if fitted >= least or options.after is not None:
-        return []
-    return [
-        f"{fitted} touches are fitted, but casacal calibrate needs at least {least} for all unknowns. Ask for more, "
-        "keep fewer to verify, or hold parameters"
-    ]
 
 
 def _wrong_with(source: ProblemFile, options: argparse.Namespace) -> list[str]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,10 +40,8 @@ def add_running(parser: argparse.ArgumentParser) -> None:
     add(parser, "--scheduler ADDRESS", "a Dask scheduler, such as tcp://host:8786")
     add(parser, "--shard I/N", "run only the I-th of N parts of the trials, to be merged later")
     add(parser, "--merge DIR+", "run nothing; merge the records of shards")
-    words = (
-        "run each trial in its own process with this time limit; a method that takes longer or crashes is "
-        "recorded as a failure, and --resume with a longer time tries it again"
-    )
+    words = "run each trial in its own process with this time limit; a method that takes longer or crashes is "
+    words += "recorded as a failure, and --resume with a longer time tries it again"
     add(parser, "--timeout SECONDS", words, kind=float)
     add(parser, "--resume", "keep the records in DIR and run only the missing trials")
     add(parser, "--report", "run nothing; write the report from the records in DIR")
@@ -110,7 +109,7 @@ def _made(source: StudyFile, study: Study, out: Path, options: argparse.Namespac
         if not 1 <= shard[0] <= shard[1]:
             raise CasacalError(f"--shard {options.shard} is not I/N", "Give part/parts, such as 2/3")
     made_here = machine(options.workers, cluster=options.scheduler is not None)
-    with Progress(source.name, lambda: note_machines(out, [made_here])) as progress:
+    with _progress(source.name, lambda: note_machines(out, [made_here])) as progress:
         return runs.run(
             study,
             out,
@@ -125,33 +124,27 @@ def _made(source: StudyFile, study: Study, out: Path, options: argparse.Namespac
         )
 
 
-class Progress:
+@contextmanager
+def _progress(name: str, started: Callable[[], None]) -> Iterator[Callable[[int, int], None]]:
     """Records done, rate and time left on standard error; calls `started` once the run is accepted."""
+    began, shown, at_first = 0.0, 0.0, 0
 
-    def __init__(self, name: str, started: Callable[[], None]) -> None:
-        self.name, self.started = name, started
-        self.began, self.shown, self.at_first = time.monotonic(), 0.0, 0
-
-    def __enter__(self) -> Progress:
-        return self
-
-    def __call__(self, done: int, total: int) -> None:
-        """Say so now and then."""
+    def say_records(done: int, total: int) -> None:
+        nonlocal began, shown, at_first
         now, looked_at = time.monotonic(), sys.stderr.isatty()
-        if not self.shown:
-            self.began, self.shown, self.at_first = now, now, done
-            self.started()  # the run is accepted; who makes it is known even if it is killed
+        if not shown:
+            began, shown, at_first = now, now, done
+            started()  # the run is accepted; who makes it is known even if it is killed
             if done:
-                write_progress(f"{self.name}: {done} of {total} records exist\n")
-            return
-        if now - self.shown < SAID_EVERY[looked_at] and done < total:
-            return
-        self.shown = now
-        rate = (done - self.at_first) / max(now - self.began, 1e-9)
-        left = f"{(total - done) / rate:.0f} s left" if rate > 0 else ""
-        line = f"{self.name}: {done} of {total} records, {rate:.1f} per second, {left}"
-        write_progress(f"\r{line}   " if looked_at else f"{line}\n")
+                write_progress(f"{name}: {done} of {total} records exist\n")
+        elif now - shown >= SAID_EVERY[looked_at] or done >= total:
+            shown, rate = now, (done - at_first) / max(now - began, 1e-9)
+            left = f"{(total - done) / rate:.0f} s left" if rate > 0 else ""
+            line = f"{name}: {done} of {total} records, {rate:.1f} per second, {left}"
+            write_progress(f"\r{line}   " if looked_at else f"{line}\n")
 
-    def __exit__(self, *_: object) -> None:
-        if self.shown and sys.stderr.isatty():
+    try:
+        yield say_records
+    finally:
+        if shown and sys.stderr.isatty():
             write_progress("\n")

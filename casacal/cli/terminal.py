@@ -11,24 +11,23 @@ import sys
 import textwrap
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext, redirect_stdout, suppress
-from typing import Any, Literal, TextIO
+from typing import Any, TextIO
 
 from casacal.errors import CasacalError
 
 NARROWEST, USUAL, WIDEST = 40, 100, 120
 
-Colour = Literal["green", "yellow", "red"]
-CODES: Mapping[Colour, str] = {"green": "32", "yellow": "33", "red": "31"}
-LEVELS: Mapping[str, Colour] = {
-    "calibrated": "green",
-    "remark": "green",
-    "use with care": "yellow",
-    "warning": "yellow",
-    "do not use": "red",
-    "error": "red",
-    "casacal:": "red",
+GREEN, YELLOW, RED = "32", "33", "31"
+LEVELS: Mapping[str, str] = {
+    "calibrated": GREEN,
+    "remark": GREEN,
+    "use with care": YELLOW,
+    "warning": YELLOW,
+    "do not use": RED,
+    "error": RED,
+    "casacal:": RED,
 }
-"""Words that begin what is said, and what paints them."""
+"""First words of sentences, and the colours (ECMA-48) in which they are shown."""
 
 
 def prepare() -> None:
@@ -71,16 +70,13 @@ def width() -> int:
 
 def painted(text: str, stream: TextIO) -> str:
     """Text whose first words are coloured by what they say, where the output is a terminal and colour is wanted."""
+    plain = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
+    if plain or not stream.isatty() or (os.name == "nt" and "WT_SESSION" not in os.environ):
+        return text  # older consoles of Windows show the codes themselves
     for words, colour in LEVELS.items():
-        if text.lower().startswith(words) and _shows_colour(stream):
-            return f"\x1b[1;{CODES[colour]}m{text[: len(words)]}\x1b[0m{text[len(words) :]}"
+        if text.lower().startswith(words):
+            return f"\x1b[1;{colour}m{text[: len(words)]}\x1b[0m{text[len(words) :]}"
     return text
-
-
-def _shows_colour(stream: TextIO) -> bool:
-    if not stream.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
-        return False
-    return os.name != "nt" or "WT_SESSION" in os.environ  # older consoles show the codes themselves
 
 
 def say(text: str = "") -> None:

@@ -47,10 +47,7 @@ class CalibratedArm(Value):
 
     @cached_property
     def used(self) -> Problem:
-        """The problem with the effects that are corrected, and no others, in its pose.
-
-        Raises CasacalError where the problem does not have one of them.
-        """
+        """The problem whose pose has the effects that are corrected, and no others; CasacalError where it lacks one."""
         problem, keys = self.source.problem, self.corrected
         if not keys:
             return problem.without_terms
@@ -97,10 +94,7 @@ class CalibratedArm(Value):
 
 
 def arm_values(result: CalibratedArm, *, nominal: bool = False) -> SimpleNamespace:
-    """What `robot.pose` takes as `p`: the arm's parameters as calibrated (or as drawn), as numbers (CasADi DM).
-
-    As they are best where nobody corrects an effect beside the geometry.
-    """
+    """Parameters `p` (CasADi DM by name) of `robot.pose`, calibrated without corrected effects, or as drawn."""
     values = SimpleNamespace()
     for key, unknown in result.source.problem.robot.parameters.items():
         local = ca.DM(_local(key, unknown, result, nominal, alone=True))
@@ -129,10 +123,7 @@ def local_coordinates(result: CalibratedArm, *, nominal: bool = False, of: Probl
 
 
 def row_constants(result: CalibratedArm, of: Problem) -> Array:
-    """Numbers c (nc,) of an instrument's row model: nominals that rows proposed, as a tracked body's, as they stood.
-
-    Zero for what differs by label: faces and their like move neither flange nor tip.
-    """
+    """Numbers c (nc,) of an instrument's row model: nominals that rows proposed; zero for what differs by label."""
     proposed = result.found.proposed
     found = [np.zeros(0)]
     for key in of.model.constants:
@@ -163,10 +154,7 @@ def named_covariance(result: CalibratedArm) -> tuple[Array, list[str]]:
 
 
 def with_effects(result: CalibratedArm) -> tuple[Array, dict[str, float]] | None:
-    """Covariance (n, n) of geometry and effects together, and by how much each is elsewhere than the arm is said to be.
-
-    By name, in the order of the covariance; None where a result says nothing of effects.
-    """
+    """Covariance (n, n) of geometry and effects together, and the error of each by name; None without effects."""
     found = result.found.effects
     if found.covariance is None or found.off is None or result.found.covariance is None:
         return None

@@ -48,10 +48,7 @@ class PosedArm:
         constants: Array | None = None,
         told: Mapping[str, Array] = NOTHING_TOLD,
     ) -> PosedArm:
-        """Compile for the instrument's unknowns at `local` (nz,); the tip stands at reading zero.
-
-        constants: c (nc,) of its row model; zero by default. told: columns (N,) that rows tell, by the model's names.
-        """
+        """Compile at `local` (nz,), row constants c (nc,), zero by default, and told columns (N,); reading zero."""
         model, n = problem.model, len(problem.robot.axes)
         c = ca.DM.zeros(model.pose.size_in(1)) if constants is None else ca.DM(constants)
         z, q = ca.SX.sym("z", model.pose.numel_in(0)), ca.SX.sym("q", n)

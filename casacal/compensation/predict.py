@@ -145,10 +145,7 @@ def predict(
 
 
 def write_prediction(path: str | Path, prediction: Prediction, remarks: Sequence[str] = ()) -> None:
-    """Write x_mm,y_mm,z_mm,qw,qx,qy,qz, and std_mm where there is one; a row per pose, below a line on what it is.
-
-    remarks: sentences for that line. A verdict not to use the result stands in a line of its own.
-    """
+    """Write x_mm,y_mm,z_mm,qw,qx,qy,qz, and std_mm where there is one, below lines with remarks and any denial."""
     said = " ".join(" ".join((f"predicted, {MADE}: poses in the base frame.", *remarks)).split())
     lines = [f"# {said}"]
     lines += [] if prediction.denial is None else [f"# WARNING, against the verdict: {prediction.denial}"]

@@ -114,10 +114,7 @@ class EffectsFound(Value):
 
 @dataclass(frozen=True, eq=False)
 class FittedData(Value):
-    """The samples: file, SHA-256, the listing of the fitted rows (`samples.repeats`), None where it is not known.
-
-    instruments: the files of each of several instruments.
-    """
+    """The samples: file (of each of several instruments), SHA-256, and the listing of the fitted rows, where known."""
 
     file: str | None
     sha256: str

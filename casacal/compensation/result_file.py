@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -43,12 +44,10 @@ def check_seal(file: str, document: Mapping[str, Any]) -> None:
     seal = document.get("seal")
     if not isinstance(seal, dict) or not isinstance(seal.get("of"), list):
         raise CasacalError(f"{file}: its seal is gone, so it was changed after it was written", FIX)
-    keys = seal["of"]
-    try:
-        same = all(isinstance(key, str) for key in keys) and seal.get("sha256") == _digest(document, keys)
-    except (ValueError, RecursionError):
-        same = False
-    if not same:
+    keys, digest = seal["of"], None
+    with suppress(ValueError, RecursionError):
+        digest = _digest(document, keys) if all(isinstance(key, str) for key in keys) else None
+    if digest is None or seal.get("sha256") != digest:
         raise CasacalError(f"{file}: it was changed after it was written", FIX)
 
 
@@ -95,7 +94,7 @@ def _read(place: Path) -> dict[str, Any]:
         raise CasacalError(f"{place}: it cannot be read ({error.strerror})", fix) from None
     except (ValueError, RecursionError):
         raise CasacalError(f"{place}: this is not a result of casacal", fix) from None
-    schema = document.get("schema", 0) if isinstance(document, dict) else None
+    schema = document.get("schema") if isinstance(document, dict) else None
     if isinstance(schema, int) and schema > SCHEMA:
         what = f"{place}: a newer casacal wrote it (schema {schema}; this one reads up to {SCHEMA})"
         raise CasacalError(what, "Update casacal")

@@ -43,8 +43,7 @@ def moved_arm(result: CalibratedArm) -> Moved:
     model, away = problem.model, dict.fromkeys(problem.model.names, 0.0)
     names = [name for key, unknown in problem.symbols.unknowns.items() for name in unknown.names(key)]
     if effects is not None:
-        lost = sorted(set(result.found.effects.values) - set(names))
-        if lost:
+        if lost := sorted(set(result.found.effects.values) - set(names)):
             what = f"{result.file}: it holds an effect beside the geometry ('{lost[0]}') that the problem does not have"
             raise CasacalError(what, "Give the problem that it was calibrated with, or calibrate again")
         for effect in model.terms:
@@ -84,11 +83,11 @@ class RowZeros:
         if labels is not None:
             prior = float(instrument.unknowns[probe.zero].prior_stds[0])
             return RowZeros([f"{probe.zero}.{label}" for label in labels], probe.sign, prior)
-        if probe.column in joints.columns:
-            what = f"The dial was set to zero anew for each {probe.zero_label}, and the rows do not say for which"
-            fix = f"Add the column '{probe.zero_label}', or leave out the reading, or ask for the flange"
-            raise CasacalError(what, fix)
-        return None
+        if probe.column not in joints.columns:
+            return None
+        what = f"The dial was set to zero anew for each {probe.zero_label}, and the rows do not say for which"
+        fix = f"Add the column '{probe.zero_label}', or leave out the reading, or ask for the flange"
+        raise CasacalError(what, fix)
 
 
 def position_stds(

@@ -167,9 +167,9 @@ class Rounding:
         unit, turn = 10.0**-self.decimals, 180 / math.pi if self.degrees else 1.0
         factors = np.where(arm.robot.revolute, turn, 1.0)  # from rad and mm to what is written
         lower, upper = (limit * factors for limit in arm.robot.limits)
-        written = np.round(joints * factors, self.decimals)
-        written = np.where((written > upper + 1e-9 * unit) & (joints * factors <= upper), written - unit, written)
-        written = np.where((written < lower - 1e-9 * unit) & (joints * factors >= lower), written + unit, written)
+        exact, written = joints * factors, np.round(joints * factors, self.decimals)
+        written -= unit * ((written > upper + 1e-9 * unit) & (exact <= upper))
+        written += unit * ((written < lower - 1e-9 * unit) & (exact >= lower))
         return np.asarray(np.round(written, self.decimals) / factors)
 
 

@@ -64,10 +64,7 @@ NOTHING = TellingColumns(NOTHING_TOLD)
 
 
 def _beyond(rows: Samples, amounts: Mapping[str, Array], ranges: Mapping[str, tuple[float, float]]) -> list[str]:
-    """A sentence for each of an effect's columns (N,) far from its range in the fitted rows; SamplesError beyond that.
-
-    The effect is proportional to its columns, which share a unit: the span is the largest of theirs, zero included.
-    """
+    """A sentence for each column (N,) of an effect far from its fitted range; SamplesError if out of all proportion."""
     known = {name: ranges[name] for name in amounts if name in ranges}
     span = max((max(high, 0.0) - min(low, 0.0) for low, high in known.values()), default=0.0)
     said = []
@@ -93,10 +90,7 @@ def _beyond(rows: Samples, amounts: Mapping[str, Array], ranges: Mapping[str, tu
 def whole_rows(
     first: Array, joints: int, names: Sequence[str], told: Mapping[str, Array], elsewhere: Array | float = 0.0
 ) -> Array:
-    """Whole rows (N, n + k) of a row model with k columns, of which the first (N, m) are given.
-
-    told: columns (N,) by name, in their places. elsewhere: what the others hold (k,).
-    """
+    """Rows (N, n + k) of a row model: the first columns (N, m), told ones (N,) by name, and `elsewhere` in others."""
     rows = np.zeros((len(first), joints + len(names)))
     rows[:, joints:] = elsewhere
     rows[:, : first.shape[1]] = first

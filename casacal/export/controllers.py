@@ -73,21 +73,20 @@ def zero_corrections(result: CalibratedArm) -> ZeroCorrections:
 def zeros_text(result: CalibratedArm) -> str:
     """Zero corrections as CSV, degrees (mm where a joint slides), with what they can and cannot express."""
     result = arm_from(result)
-    found = zero_corrections(result)
-    axes = result.source.problem.robot.axes
+    found, axes = zero_corrections(result), result.source.problem.robot.axes
     slides = any(joint.kind == "prismatic" for joint in axes)
-    lines = [f"# {line}" for line in remark(result, form="zeros")]
-    lines += [
-        f"# {MARK}where the controller shows q, the arm is where the drawn arm would be at q + correction. Do one of "
-        f"these, never both:",
-        f"# {MARK}(1) subtract each correction from the joint values of every target, and leave the zeros as they are",
-        f"# {MARK}(2) change the controller's zeros so that, at rest, each joint shows its value + correction, and "
-        "leave the targets as they are",
-        f"# {MARK}the calibration moves the flange by {found.before:.3f} mm RMS over the workspace (its origin and "
-        f"points {LEVER:g} mm from it)",
-        f"# {MARK}zero offsets express {100 * found.share:.0f} % of its mean square; {found.after:.3f} mm RMS remain",
-        "joint,correction_deg" + (",correction_mm" if slides else ""),
+    said = [
+        "where the controller shows q, the arm is where the drawn arm would be at q + correction. Do one of these, "
+        "never both:",
+        "(1) subtract each correction from the joint values of every target, and leave the zeros as they are",
+        "(2) change the controller's zeros so that, at rest, each joint shows its value + correction, and leave the "
+        "targets as they are",
+        f"the calibration moves the flange by {found.before:.3f} mm RMS over the workspace (its origin and points "
+        f"{LEVER:g} mm from it)",
+        f"zero offsets express {100 * found.share:.0f} % of its mean square; {found.after:.3f} mm RMS remain",
     ]
+    lines = [f"# {line}" for line in (*remark(result, form="zeros"), *(MARK + line for line in said))]
+    lines.append("joint,correction_deg" + (",correction_mm" if slides else ""))
     for i, (joint, value) in enumerate(zip(axes, found.values, strict=True), 1):
         cells = [str(i), f"{math.degrees(value) + 0.0:.6f}"] if joint.turns else [str(i), "", plain(round(value, 6))]
         lines.append(",".join([*cells, ""] if joint.turns and slides else cells))
@@ -227,8 +226,8 @@ def _source_text(result: CalibratedArm, arm: UrdfChain, source: str | Path | Non
     if [joint.name for joint in there.chain] != [joint.name for joint in arm.chain]:
         raise CasacalError(f"{path}: the joints between base and tip are not those of the calibrated arm", fix)
     for one, two in zip(there.chain, arm.chain, strict=True):
-        same = (one.kind, one.axis) == (two.kind, two.axis)
-        if not same or not np.allclose((one.xyz, one.rpy), (two.xyz, two.rpy), rtol=0, atol=1e-9):
+        moved = not np.allclose((one.xyz, one.rpy), (two.xyz, two.rpy), rtol=0, atol=1e-9)
+        if moved or (one.kind, one.axis) != (two.kind, two.axis):
             raise CasacalError(f"{path}: joint '{one.name}' is not as it was when the calibration began", fix)
     try:
         return path.read_bytes().decode("utf-8").encode("utf-8")
@@ -245,13 +244,12 @@ def _edits(
         indent = data[at : len(data) - len(data[at:].lstrip())]
         said = b"".join(b' %s="%s"' % (key.encode(), _numbers(values)) for key, values in changed.items())
         return [(at, at, indent + b"<origin" + said + b"/>")]
-    tag = data[start : _tag_end(data, start)]
-    edits = []
+    tag, edits = data[start : _tag_end(data, start)], []
+    places = {found[1].decode(): found.span(2) for found in ATTRIBUTE.finditer(tag)}
     for key, values in changed.items():
-        found = [m for m in ATTRIBUTE.finditer(tag) if m.group(1) == key.encode()]
-        if found:
-            first, last = found[0].span(2)
-            edits.append((start + first + 1, start + last - 1, _in_place(tag[first + 1 : last - 1], values)))
+        if key in places:
+            first, last = places[key][0] + 1, places[key][1] - 1  # inside the quotes
+            edits.append((start + first, start + last, _in_place(tag[first:last], values)))
         else:
             at = start + len(b"<origin")
             edits.append((at, at, b' %s="%s"' % (key.encode(), _numbers(values))))

@@ -64,10 +64,7 @@ def _row(arm: CalibratedArm, problem: Problem, q: ca.SX, told: ca.SX | None = No
 
 
 def pose_at(arm: CalibratedArm, q: ca.SX, told: ca.SX | None = None) -> ca.SX:
-    """Flange pose (4x4; mm) of an arm as calibrated at joint values (n; rad, mm), corrected effects included.
-
-    told: what columns tell of effects (k), in the order of `told_names`.
-    """
+    """Flange pose (4x4; mm) as calibrated at joint values (n; rad, mm) and `told` (k), as `told_names` has it."""
     problem = arm.used
     if not problem.terms:
         return ca.SX(problem.robot.pose(arm_values(arm), q))
@@ -119,10 +116,7 @@ def values_of(
 
 
 def casadi_text(arm: CalibratedArm) -> str:
-    """The function of `pose_function` as `casadi.Function.load` reads it from a file.
-
-    The file has no room for remarks: a verdict not to use the result is part of the function's name.
-    """
+    """The function of `pose_function` as `casadi.Function.load` reads it; a denial is part of its name."""
     made = pose_function(arm, force=True)
     inputs = inputs_of(arm_from(arm), ca.SX.sym("q", made.numel_in(0)))
     made = ca.Function(made.name(), [*inputs.values()], [made(*inputs.values())], [*inputs], ["pose"])
@@ -190,10 +184,9 @@ void {prefix}_step(const double q[{count}],{also} const double target[16], doubl
 
 
 def c_text(result: CalibratedArm, *, prefix: str | None = None) -> str:
-    """Self-contained C99 of the calibrated forward kinematics, its Jacobian and a damped step; see its head comment.
+    """C99 of the calibrated kinematics, its Jacobian and a damped step, in functions whose names begin with a prefix.
 
-    `prefix` begins the names of the functions; by default the problem's name. Raises CasacalError where it is no C
-    name.
+    By default with the problem's name. Raises CasacalError where it is no C name.
     """
     result = arm_from(result)
     if prefix is None:
@@ -226,17 +219,14 @@ def c_text(result: CalibratedArm, *, prefix: str | None = None) -> str:
 
 def c_functions(result: CalibratedArm, prefix: str) -> list[ca.Function]:
     """Functions behind the C code: q -> pose (16); q -> Jacobian (6 n); q, target, damping -> next (n), error (6)."""
-    robot = result.source.problem.robot
-    count = len(robot.axes)
+    count = len(result.source.problem.robot.axes)
     q, target, damping = ca.SX.sym("q", count), ca.SX.sym("target", 16), ca.SX.sym("damping")
     known = list(inputs_of(result, q).values())
     pose = pose_at(result, *known)
     turn = pose[:3, :3]
     slopes = ca.jacobian(ca.vec(turn), q)
-    spins = []
-    for i in range(count):  # dR/dq R' = [w]
-        cross = ca.mtimes(ca.reshape(slopes[:, i], 3, 3), turn.T)
-        spins.append(ca.vertcat(cross[2, 1] - cross[1, 2], cross[0, 2] - cross[2, 0], cross[1, 0] - cross[0, 1]) / 2)
+    crosses = (ca.mtimes(ca.reshape(slopes[:, i], 3, 3), turn.T) for i in range(count))  # dR/dq R' = [w]
+    spins = [ca.vertcat(w[2, 1] - w[1, 2], w[0, 2] - w[2, 0], w[1, 0] - w[0, 1]) / 2 for w in crosses]
     jacobian = ca.densify(ca.vertcat(ca.jacobian(pose[:3, 3], q), ca.horzcat(*spins)))
     wanted = ca.reshape(target, 4, 4).T
     # orientation error: half the sum of the axes' cross products, Siciliano et al., Robotics (2009), eq (3.85)

@@ -93,10 +93,7 @@ def frame_text(
     points: Sequence[str] | None = None,
     force: bool = False,
 ) -> str:
-    """The frame as ABB, FANUC, KUKA and Universal Robots write it, with its standard deviation.
-
-    faces, points, errors: as for `work_frame`. force: a result whose verdict is not to use it, with that verdict.
-    """
+    """The frame of `work_frame` (arguments and errors as there) as ABB, FANUC, KUKA and Universal Robots write it."""
     from scipy.spatial.transform import Rotation
 
     result = arm_from(result)

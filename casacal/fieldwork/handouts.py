@@ -158,11 +158,11 @@ class RobotProgram:
     language: Language
     ending: str
     decimals: int
-    head: tuple[str, ...]
-    fast: tuple[str, ...]
-    slow: tuple[str, ...]
-    wait: tuple[str, ...]
-    end: tuple[str, ...]
+    head: tuple[str, str]
+    fast: str
+    slow: str
+    wait: str
+    end: str
 
 
 LONGEST_LABEL = 40  # letters of a label that fit on a pendant: RAPID holds 80 in a string
@@ -172,31 +172,31 @@ PROGRAMS: Mapping[str, RobotProgram] = FrozenMapping(
             RAPID,
             ".mod",
             4,
-            ("MODULE casacal_plan", "  PROC touch_the_plan()"),
-            ("    MoveAbsJ {}\\NoEOffs, v50, fine, tool0;",),
-            ("    MoveAbsJ {}\\NoEOffs, v5, fine, tool0;",),
-            ('    TPWrite "{}";', "    Stop;"),
-            ("  ENDPROC", "ENDMODULE"),
+            ("MODULE casacal_plan\n", "  PROC touch_the_plan()\n"),
+            "    MoveAbsJ {}\\NoEOffs, v50, fine, tool0;\n",
+            "    MoveAbsJ {}\\NoEOffs, v5, fine, tool0;\n",
+            '    TPWrite "{}";\n    Stop;\n',
+            "  ENDPROC\nENDMODULE\n",
         ),
         "krl": RobotProgram(
             KRL,
             ".src",
             4,
-            ("DEF casacal_plan()", "  BAS(#INITMOV, 0)"),
-            ("  BAS(#VEL_PTP, 10)", "  PTP {}"),
-            ("  BAS(#VEL_PTP, 1)", "  PTP {}"),
-            ("  ; {}", "  HALT"),
-            ("END",),
+            ("DEF casacal_plan()\n", "  BAS(#INITMOV, 0)\n"),
+            "  BAS(#VEL_PTP, 10)\n  PTP {}\n",
+            "  BAS(#VEL_PTP, 1)\n  PTP {}\n",
+            "  ; {}\n  HALT\n",
+            "END\n",
         ),
         "urscript": RobotProgram(
             URSCRIPT,
             ".script",
             7,
-            ("def casacal_plan():",),
-            ("  movej({}, a=0.4, v=0.2)",),
-            ("  movej({}, a=0.1, v=0.02)",),
-            ('  popup("{}", blocking=True)',),
-            ("end",),
+            ("def casacal_plan():\n", ""),
+            "  movej({}, a=0.4, v=0.2)\n",
+            "  movej({}, a=0.1, v=0.02)\n",
+            '  popup("{}", blocking=True)\n',
+            "end\n",
         ),
     }
 )
@@ -211,7 +211,8 @@ def program_text(problem: Problem, route: Route, ways: Approaches, language: str
     """
     refuse_unknown("language of programs", [language], PROGRAMS)
     form = PROGRAMS[language]
-    form.language.refuse_others(problem.robot, "move", "Use the plan's CSV")
+    spoken, comment = form.language, form.language.comment
+    spoken.refuse_others(problem.robot, "move", "Use the plan's CSV")
     withdrawn = " and the dial withdrawn" if problem.instrument.words.approach else ""
     notes = (
         f"planned by casacal for {printable(name)}; joint values are those that the problem's robot.pose takes",
@@ -219,41 +220,30 @@ def program_text(problem: Problem, route: Route, ways: Approaches, language: str
         f"the cell is known. Try the program slowly, with a hand on the stop{withdrawn}",
         "at each stop take the reading with casacal measure, or write it down; then let the program go on",
     )
-    comments = (line for note in notes for line in in_comments(note))
-    lines = [form.head[0], *(f"  {form.language.comment} {line}" for line in comments), *form.head[1:]]
-
-    def add(part: tuple[str, ...], words: str) -> None:
-        lines.extend(line.format(words) for line in part)
-
-    def written(joints: Array) -> str:
-        return form.language.written(joints, form.decimals)
-
-    add(form.wait, "jog the arm to near the first touch, then let the program go on")  # from wherever it stands
-    labels = list(route.samples.labels.values())
+    comments = [f"  {comment} {line}\n" for note in notes for line in in_comments(note)]
+    # the arm may stand anywhere when the program begins
+    first = form.wait.format("jog the arm to near the first touch, then let the program go on")
+    parts = [form.head[0], *comments, form.head[1], first]
     for k, purpose in enumerate(route.purposes):
-        where = printable(" ".join(label[k] for label in labels)).replace('"', "'")
+        where = printable(" ".join(label[k] for label in route.samples.labels.values())).replace('"', "'")
         if np.isnan(ways.retreat[k]):
-            lines.append(f"  {form.language.comment} touch {k + 1} is left out: the arm cannot draw back from it")
+            parts.append(f"  {comment} touch {k + 1} is left out: the arm cannot draw back from it\n")
             continue
         if not ways.clear[k]:
-            add(form.wait, f"no clear way to touch {k + 1} was found: jog the arm above it, then go on")
-        for place in (ways.via[k], ways.above[k]):
-            if np.isfinite(place).all():
-                add(form.fast, written(place))
-        add(form.slow, written(route.samples.joints[k]))
-        add(form.wait, f"touch {k + 1} {where[:LONGEST_LABEL]} ({purpose})")
-        add(form.slow, written(ways.above[k]))
-    return "\n".join([*lines, *form.end]) + "\n"
+            parts.append(form.wait.format(f"no clear way to touch {k + 1} was found: jog the arm above it, then go on"))
+        on_the_way = (place for place in (ways.via[k], ways.above[k]) if np.isfinite(place).all())
+        parts += [form.fast.format(spoken.written(place, form.decimals)) for place in on_the_way]
+        touch, above = (spoken.written(q, form.decimals) for q in (route.samples.joints[k], ways.above[k]))
+        said = form.wait.format(f"touch {k + 1} {where[:LONGEST_LABEL]} ({purpose})")
+        parts += [form.slow.format(touch), said, form.slow.format(above)]
+    return "".join([*parts, form.end])
 
 
 WIDE, HIGH = 64.0, 46.0  # size of a picture, in its own units
 
 
 def sheet_page(problem: Problem, route: Route, name: str, notes: Sequence[str] = ()) -> str:
-    """HTML of the sheet: one file that needs no other, to be printed from any browser.
-
-    name: of the problem. notes: sentences about the cell, above the touches.
-    """
+    """HTML of the sheet, in one file, of the problem called `name`; notes: sentences on the cell, above the touches."""
     layout, samples, pictures = problem.layout(), route.samples, _pictures(problem, route)
     joints = [f"q{i}{_unit(kind)}" for i, kind in enumerate(layout.joints, 1)]
     expected = [f"{column}, expected{_unit(kind)}" for column, kind in layout.columns.items()]

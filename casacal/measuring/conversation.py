@@ -13,7 +13,6 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError
-from casacal.instruments.description import Dimension
 from casacal.measuring.gauges import Gauge
 from casacal.measuring.session import Session
 from casacal.measuring.touch import Touch, beyond_travel
@@ -45,8 +44,7 @@ class Typed(NamedTuple):
 def help_words(problem: Problem) -> str:
     """What may be typed at a session of a problem with one instrument, and what to see to before."""
     layout, words = problem.layout(), problem.instrument.words
-    read = ", ".join(f"{name}{in_unit(kind)}" for name, kind in layout.columns.items())
-    reading = "reading" if len(layout.columns) == 1 else "readings"
+    read, reading = in_units(layout), "reading" if len(layout.columns) == 1 else "readings"
     said = ["Bring the arm to the posture.", *([sentence(words.approach)] if words.approach else [])]
     said.append(
         "If the controller shows the joint values as planned, "
@@ -58,9 +56,10 @@ def help_words(problem: Problem) -> str:
     return " ".join([*said, COMMANDS])
 
 
-def in_unit(kind: Dimension) -> str:
-    """In which unit a quantity is typed and shown: " in degrees", " in mm"; nothing for a number."""
-    return {"angle": " in degrees", "length": " in mm"}.get(kind, "")
+def in_units(layout: Layout) -> str:
+    """Readings and the units in which they are typed: "reading in mm"; a number has no unit."""
+    units = {"angle": " in degrees", "length": " in mm", "number": ""}
+    return ", ".join(f"{name}{units[kind]}" for name, kind in layout.columns.items())
 
 
 def command_of(line: str) -> tuple[str, int | None] | None:
@@ -211,7 +210,7 @@ def waiting(session: Session, proposed: Touch | None, *, by_gauge: bool) -> str:
     """What is waited for, for whoever comes back to the terminal."""
     if session.alarm is not None:
         return f"Waiting for an answer about touch {session.shown(session.alarm.touch)}: u, c or k"
-    read = ", ".join(f"{name}{in_unit(kind)}" for name, kind in session.problem.layout().columns.items())
+    read = in_units(session.problem.layout())
     number = "one more touch" if proposed is None or proposed.number is None else f"touch {proposed.number}"
     how = f"{read}, {'from the gauge or typed' if by_gauge else 'typed'}" if read else "Enter when the tip touches"
     return f"Waiting for {number}: {how}"
@@ -268,11 +267,10 @@ def doubt(session: Session) -> list[str]:
 
 def ended(session: Session) -> list[str]:
     """What to say at the end."""
-    said, below = [], session.tip_error_below
+    said, below, met = [], session.tip_error_below, ""
+    if session.tolerance is not None:
+        met = f", {'within' if session.done else 'not within'} the tolerance of {session.tolerance:g} mm"
     if below is not None:
-        met = ""
-        if session.tolerance is not None:
-            met = f", {'within' if session.done else 'not within'} the tolerance of {session.tolerance:g} mm"
         said.append(
             f"{counted(len(session), 'touch')}: tip error {session.tip_error:.3g} mm expected, below {below:.3g} "
             f"mm{met}, apart from the position of the base, if the priors and the form of the arm's model are right. "

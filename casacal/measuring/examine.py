@@ -143,10 +143,7 @@ def _chances(rows: LinearRows, mean: Array) -> Array:
 def _explained(
     known: Known, told: Mapping[int, ShiftedBelief], slips: Callable[[int], list[Slip]], noise: Array, usual: float
 ) -> tuple[Suspected, ...]:
-    """Explanations of touches, by their numbers, of which others tell something, the likeliest first.
-
-    The best of each touch and kind is named unless far less likely. noise: of a touch (m,), mm; usual: of most.
-    """
+    """Explanations of touches by their numbers, likeliest first, the best of each kind; noise of a touch (m,), mm."""
     # range of a stray touch in units of its noise, as the evidence counts rows: less ln(2 pi) / 2
     stray = float(np.log(STRAY / np.minimum(noise, STRAY / 2)).sum() - len(noise) * math.log(2 * math.pi) / 2)
     scores: list[tuple[int, Slip | None, float]] = []

@@ -88,10 +88,7 @@ GAUGES: Mapping[str, Gauge] = {
 
 
 def gauge(name: str, *, pattern: str | None = None, unit: str | None = None, asks: str | None = None) -> Gauge:
-    """A gauge by name, with one's own pattern, unit or question in place of its own.
-
-    Raises CasacalError for a name or unit that there is not, and for a pattern that is none or has no group `value`.
-    """
+    """A gauge by name, with one's own pattern, unit or question; CasacalError for a name, unit or pattern not known."""
     refuse_unknown("gauge", [name], GAUGES)
     refuse_unknown("unit", [] if unit is None else [unit], [each for some in UNITS.values() for each in some if each])
     known = GAUGES[name]
@@ -114,11 +111,7 @@ Parity = Literal["N", "E", "O"]
 
 
 class SerialLine:
-    """Lines that a gauge sends, and questions to it.
-
-    port: such as COM3 or /dev/ttyUSB0. baud, bits, parity, stops: as the gauge's page says. Raises CasacalError where
-    pyserial is missing or the port cannot be opened.
-    """
+    """Lines that a gauge sends, and questions to it; CasacalError without pyserial, or where the port is not opened."""
 
     def __init__(self, port: str, *, baud: int = 9600, bits: int = 8, parity: Parity = "N", stops: int = 1) -> None:
         try:

@@ -190,13 +190,10 @@ def _proposing(problem: Problem, samples: Samples) -> Iterator[tuple[str, NDArra
 
 def covered(bound: BoundProblem, samples: Samples) -> NDArray[np.bool_]:
     """Which rows (N,) have their unknowns among those that are bound: whose face is known, and the like."""
-    have, instrument = {slot.name for slot in bound.slots}, bound.problem.instrument
-    found = np.ones(len(samples), dtype=bool)
-    for key, unknown in instrument.unknowns.items():
-        if unknown.per is not None:
-            labels = samples.labels[unknown.per]
-            named = [f"{key}.{instrument.instance(key, name)}" in have for name in labels.names]
-            found &= np.array(named)[labels.codes]
+    have, found = {slot.name for slot in bound.slots}, np.ones(len(samples), dtype=bool)
+    for key, unknown in bound.problem.instrument.unknowns.items():
+        for label, rows in instances(bound.problem.instrument, key, unknown, samples):
+            found[rows] &= label is None or f"{key}.{label}" in have
     return found
 
 
@@ -207,10 +204,7 @@ MOST = 200  # more touches than nobody makes
 
 @dataclass(frozen=True, eq=False)
 class ShiftedBelief:
-    """A Gaussian by which touches are expected: its mean is so far (n,) from the belief's; its covariance (n, n).
-
-    evidence: logarithm of that of the rows that told it, less a constant for each row.
-    """
+    """A Gaussian of covariance (n, n) with its mean `shift` (n,) from the belief's; evidence: of its rows, as a log."""
 
     shift: Array
     covariance: Array
@@ -263,8 +257,8 @@ class LinearRows:
 def innovations_at(known: Known, touches: Sequence[Touch]) -> tuple[Array, Array]:
     """What each touch would be off by if it came next, and the standard deviation of that, both (touches, m), mm."""
     rows, told = LinearRows.of(known, touches), ShiftedBelief.by(known.belief)
-    off, stds = zip(*(rows.off(told, k) for k in range(len(touches))), strict=True)
-    return np.array(off), np.array(stds)
+    found = np.array([rows.off(told, k) for k in range(len(touches))])
+    return found[:, 0], found[:, 1]
 
 
 def chance_of(known: Known, touches: Sequence[Touch]) -> float:

@@ -105,8 +105,9 @@ class Session(Value):
         """Take a touch back, as if it had never been made: the one in doubt, else the last, or by number from 0."""
         if not self.touches:
             raise CasacalError("There is no touch to take back", "Take one first")
-        last = len(self) - 1 if self.alarm is None else self.alarm.touch
-        k = last if touch is None else touch
+        k = touch
+        if k is None:
+            k = len(self) - 1 if self.alarm is None else self.alarm.touch
         if not 0 <= k < len(self):
             raise CasacalError(f"There is no touch {k}", f"Give 0 to {len(self) - 1}")
         return self._after((*self.touches[:k], *self.touches[k + 1 :]))
@@ -114,7 +115,7 @@ class Session(Value):
     def keep(self) -> Session:
         """Say that the touch in doubt is right as it is."""
         k = self._asked().touch
-        return self._after(self._with(k, replace(self.touches[k], kept=True)))
+        return self._put(k, replace(self.touches[k], kept=True))
 
     def correct(self, suspect: Suspected | None = None) -> Session:
         """Put right what was typed wrong: as the likeliest explanation has it, or another one of the alarm's."""
@@ -123,7 +124,7 @@ class Session(Value):
         if chosen.slip is None:
             what = f"Nothing that could be corrected explains touch {self.shown(chosen.touch)}"
             raise CasacalError(what, "Take it back, or keep it as it is")
-        return self._after(self._with(chosen.touch, chosen.slip.touch))
+        return self._put(chosen.touch, chosen.slip.touch)
 
     def skip(self, number: int) -> Session:
         """Leave a touch of the plan out."""
@@ -167,10 +168,9 @@ class Session(Value):
 
     def shown(self, k: int) -> int:
         """The number by which people know a touch: the plan's, and beyond it the numbers that follow."""
+        beyond = len(self._all_planned) + sum(touch.number is None for touch in self.touches[: k + 1])
         number = self.touches[k].number
-        if number is not None:
-            return number
-        return len(self._all_planned) + sum(touch.number is None for touch in self.touches[: k + 1])
+        return beyond if number is None else number
 
     def planned(self, number: int | None) -> Touch | None:
         """A touch of the plan by its number; raises CasacalError for one that there is not."""
@@ -207,10 +207,9 @@ class Session(Value):
 
     @property
     def belief(self) -> Belief | None:
-        """Mean (n,) and lower triangular root (n, n) of the covariance, mm and rad, named by `names`; None at first."""
-        if (known := self.state.known) is None:
-            return None
-        return Belief(known.x, known.bound.start_std[:, None] * known.belief.root)
+        """Mean (n,) and root (n, k) of the covariance, mm and rad, named by `names`; None at first."""
+        known = self.state.known
+        return None if known is None else Belief(known.x, known.bound.start_std[:, None] * known.belief.root)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -257,10 +256,9 @@ class Session(Value):
     @cached_property
     def field(self) -> Array | None:
         """Moves (3 M, n) of the tip where it is wanted, per unit of the belief."""
-        if self.state.known is None:
+        if (known := self.state.known) is None:
             return None
-        bound = self.state.known.bound
-        return wanted_field(bound, bound.x0, wanted_joints(bound, self.box, self.targets))
+        return wanted_field(known.bound, known.bound.x0, wanted_joints(known.bound, self.box, self.targets))
 
     @cached_property
     def weights(self) -> Array | None:
@@ -273,8 +271,8 @@ class Session(Value):
         state = self._setting.state(touches, lambda k: self._slips(touches, k), self.state.known, new=new)
         return replace(self, touches=touches, state=state)
 
-    def _with(self, k: int, touch: Touch) -> tuple[Touch, ...]:
-        return (*self.touches[:k], touch, *self.touches[k + 1 :])
+    def _put(self, k: int, touch: Touch) -> Session:
+        return self._after((*self.touches[:k], touch, *self.touches[k + 1 :]))
 
     def _asked(self) -> Alarm:
         if self.alarm is None:

@@ -140,10 +140,7 @@ class Slip(Value):
 
 
 def slips_of(problem: Problem, touch: Touch, planned: Touch | None, labels: Mapping[str, Sequence[str]]) -> list[Slip]:
-    """What may have been typed wrong in a touch.
-
-    planned: what was to be done there, or None. labels: by column, what there is to choose from.
-    """
+    """Typing mistakes that may be in a touch, by what was planned there, if anything, and by the labels there are."""
     found = []
     for column, names in labels.items():
         for name in names:
@@ -157,19 +154,17 @@ def slips_of(problem: Problem, touch: Touch, planned: Touch | None, labels: Mapp
 
 def _of_readings(problem: Problem, touch: Touch) -> Iterator[Slip]:
     probe = problem.instrument.probe
+
+    def slip(kind: str, words: str, said: float, weight: float) -> Slip:
+        return Slip(kind, words, replace(touch, columns={**touch.columns, name: said}), weight)
+
     for name, dimension in problem.layout().columns.items():
         value = touch.columns[name]
-
-        def slip(kind: str, words: str, said: float, weight: float, name: str = name) -> Slip:
-            return Slip(kind, words, replace(touch, columns={**touch.columns, name: said}), weight)
-
         unit, factor = WRITTEN[dimension][0].replace("_", " ").strip(), WRITTEN[dimension][1]
         yield slip("sign", f"the sign of the {name}", -value, -1.0)
         if probe is not None and name == probe.column and probe.turn:
-            for turns in (1, -1, 2, -2):
-                said = value + turns * probe.turn
-                many = "a turn" if abs(turns) == 1 else f"{abs(turns)} turns"
-                way = "forgotten" if turns > 0 else "too many"
+            for turns, many in ((1, "a turn"), (-1, "a turn"), (2, "2 turns"), (-2, "2 turns")):
+                said, way = value + turns * probe.turn, "forgotten" if turns > 0 else "too many"
                 yield slip("revolution", f"{many} of the pointer {way}: {said:.{SHOWN}f} {unit}", said, -abs(turns))
         if dimension == "length":
             yield slip("unit", f"the {name} in inches, not mm", value * 25.4, -4.0)
@@ -189,21 +184,19 @@ def _of_joints(problem: Problem, touch: Touch, planned: Touch | None) -> Iterato
         return Slip(kind, words, replace(touch, joints=other), weight)
 
     if turns.sum() > 1 and np.abs(np.degrees(joints[turns])).max() < 2 * math.pi:
-        in_rad = {int(i): math.degrees(joints[i]) for i in np.flatnonzero(turns)}
+        in_rad = {i: math.degrees(joints[i]) for i in np.flatnonzero(turns).tolist()}
         yield slip("radians", "joint values in radians, not degrees", in_rad, -3.0)
-    for i, value in enumerate(joints):
+    for i, value in enumerate(joints.tolist()):
         if planned is not None and abs(planned.joints[i] - value) > 1e-9:
-            as_planned = float(planned.joints[i])
-            words = f"joint {i + 1} as planned: {as_planned * factor[i]:.{SHOWN}f} {unit[i]}"
-            yield slip("joint", words, {i: as_planned}, -1.0)
-        yield slip("joint sign", f"the sign of joint {i + 1}", {i: -float(value)}, -3.0)
-        for said, weight in _mistyped(float(value * factor[i])):
+            words = f"joint {i + 1} as planned: {planned.joints[i] * factor[i]:.{SHOWN}f} {unit[i]}"
+            yield slip("joint", words, {i: float(planned.joints[i])}, -1.0)
+        yield slip("joint sign", f"the sign of joint {i + 1}", {i: -value}, -3.0)
+        for said, weight in _mistyped(value * float(factor[i])):
             words = f"a digit of joint {i + 1}: {said:.{SHOWN}f} {unit[i]}"
             yield slip("joint", words, {i: said / float(factor[i])}, weight - 2.0)
-        for k in range(i):
-            if turns[i] == turns[k]:
-                words = f"joints {k + 1} and {i + 1} in each other's place"
-                yield slip("joints swapped", words, {i: float(joints[k]), k: float(value)}, -4.0)
+        for k in np.flatnonzero(turns[:i] == turns[i]).tolist():
+            words = f"joints {k + 1} and {i + 1} in each other's place"
+            yield slip("joints swapped", words, {i: float(joints[k]), k: value}, -4.0)
 
 
 def _mistyped(value: float) -> list[tuple[float, float]]:
@@ -228,10 +221,7 @@ KEPT, NONE = "yes", "-"
 
 @dataclass(frozen=True)
 class TouchFile(Value):
-    """Where touches are written: those to be fitted in `path`, those to check with beside it.
-
-    mark: what the first line says of the session, such as its plan, by which it is known again.
-    """
+    """A file of touches to fit, and one of touches to check with beside it; `mark`, the first line: of the session."""
 
     path: Path
     layout: Layout
@@ -263,10 +253,7 @@ class TouchFile(Value):
         return tuple(path.stat().st_size if path.exists() else 0 for path in self._paths)
 
     def read(self) -> tuple[list[Touch], bool]:
-        """Touches made so far, in their order, and whether a last line was cut off and is left out.
-
-        Raises SamplesError for a file that is none of this session's.
-        """
+        """Touches so far, in order, and whether a cut-off last line is left out; SamplesError for another session's."""
         recover(self.path.parent)
         found: list[tuple[int, Touch]] = []
         cut = False

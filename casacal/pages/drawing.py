@@ -106,10 +106,7 @@ def ticks(low: float, high: float) -> list[tuple[float, str]]:
 
 
 def axes(panel: Panel, x_title: str, y_title: str, *, x_ticks: Ticks | None = None, upright: bool = False) -> Markup:
-    """Frame, ticks and titles, level grid lines and, if asked, upright ones.
-
-    The title of the upright axis stands above it, where it reads without a turned head.
-    """
+    """Frame, ticks and titles, the upright axis' above it; level grid lines and, if asked, upright ones."""
     left, right, low = panel.left, WIDTH - panel.right, panel.height - panel.bottom
     parts = []
 
