@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import suppress
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
@@ -84,10 +85,9 @@ def _pose(option: str, text: str | None) -> NDArray[np.float64] | None:
 
     if text is None:
         return None
-    try:
+    numbers = np.zeros(0)
+    with suppress(ValueError):
         numbers = np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        numbers = np.zeros(0)
     if len(numbers) not in (3, 7) or not np.isfinite(numbers).all() or (len(numbers) == 7 and not numbers[3:].any()):
         raise CasacalError(f"{option} {text} is not a pose", "Give X,Y,Z in mm, or X,Y,Z,QW,QX,QY,QZ")
     pose = np.eye(4)

@@ -192,24 +192,20 @@ def _entries(line: SerialLine | None, meter: Gauge, *, reads: bool) -> Iterator[
 
     for source in (of_keyboard, lambda: line.listen(inbox)):
         threading.Thread(target=source, daemon=True).start()
-    while True:
-        inbox.prompted()  # before the prompt is seen: what answers it counts however soon it comes
+    inbox.prompted()  # before the prompt is seen: what answers it counts however soon it comes
+    prompt("> ")
+    while (entry := inbox.next()) is not None:
+        if reads and entry.source == "typed" and not entry.text.strip():
+            inbox.take_next()
+            if meter.asks:
+                line.ask(meter.asks, inbox)
+            continue
+        if entry.source != "typed":
+            say_paragraphs(entry.text)
+        if entry.source != "note":
+            yield entry
+            inbox.prompted()
         prompt("> ")
-        while (entry := inbox.next()) is not None:
-            if reads and entry.source == "typed" and not entry.text.strip():
-                inbox.take_next()
-                if meter.asks:
-                    line.ask(meter.asks, inbox)
-                continue
-            if entry.source != "note":
-                break
-            say_paragraphs(entry.text)
-            prompt("> ")
-        if entry is None:
-            return
-        if entry.source == "sent":
-            say_paragraphs(entry.text)
-        yield entry
 
 
 def _frame(text: str) -> dict[str, Any]:

@@ -66,7 +66,6 @@ def _triple(text: str) -> tuple[float, float, float]:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
         raise CasacalError(f"--tool {text} is not X,Y,Z", "Give three numbers of mm, such as 0,0,120") from None
-    if 0 < math.hypot(x, y, z) < SHORTEST:
-        far = f"{math.hypot(x, y, z):g} mm"
-        raise CasacalError(f"--tool {text} is a tool of {far}", "Give it in mm: 0.12 m are 120")
+    if 0 < (far := math.hypot(x, y, z)) < SHORTEST:
+        raise CasacalError(f"--tool {text} is a tool of {far:g} mm", "Give it in mm: 0.12 m are 120")
     return x, y, z

@@ -176,14 +176,11 @@ def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clea
     if any(path.exists() and not path.is_file() for path in texts):  # a pipe takes no place beside others
         for path, text in texts.items():
             write_text(path, text)
-    else:
-        groups = dict[Path, list[Path]]()
-        for path in texts:
-            groups.setdefault(path.parent.resolve(), []).append(path)
-        with ExitStack() as sets:  # the folder of the plan is entered first, so that its files are placed last
-            for folder, some in groups.items():
-                names = [path.name for path in reversed(some)]
-                place = sets.enter_context(together(folder, names, asked=some[0]))
-                for path in some:
-                    write_text(place / path.name, texts[path])
+        return [path.as_posix() for path in texts]
+    with ExitStack() as sets:  # the folder of the plan is entered first, so that its files are placed last
+        for folder in dict.fromkeys(path.parent.resolve() for path in texts):
+            some = [path for path in texts if path.parent.resolve() == folder]
+            place = sets.enter_context(together(folder, [path.name for path in reversed(some)], asked=some[0]))
+            for path in some:
+                write_text(place / path.name, texts[path])
     return [path.as_posix() for path in texts]

@@ -184,8 +184,7 @@ def postures(arm: PosedArm, positions: Array, rotations: Array) -> Array:
         first, rows = first + starts, np.array([row for row in rows if not len(found[row])], dtype=np.intp)
     chosen = _one_branch(arm, found)
     for _ in range(SWEEPS):
-        rows = torn(arm.robot, chosen, positions, rotations)
-        if not rows.size:
+        if not (rows := torn(arm.robot, chosen, positions, rotations)).size:
             break
         try_from(rows, chosen[rows - 1][:, None])
         chosen = _one_branch(arm, found)

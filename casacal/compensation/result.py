@@ -92,7 +92,8 @@ class EffectsFound(Value):
     covariance (k, k) of the unknowns `covariance_of`, geometry and effects together, and by how much each of these is
     elsewhere than the arm is said to be (`off`); None where the verdict denies them. usual, mean, spread: RMS, mean and
     standard deviation in the fitted rows of the columns of a row model that tell effects. ranges: lowest and highest
-    amount by column of a file. further: columns of a file that tell an effect, by its key.
+    amount by column of a file. further: columns of a file that tell an effect, by its key. uncorrected_mm: tip error
+    to expect, mm RMS, where nobody corrects an effect.
     """
 
     effects: tuple[EffectFound, ...]
@@ -109,7 +110,6 @@ class EffectsFound(Value):
     ranges: Mapping[str, tuple[float, float]]
     further: Mapping[str, tuple[str, ...]]
     uncorrected_mm: float
-    """Tip error to expect, mm RMS, where nobody corrects an effect."""
 
 
 @dataclass(frozen=True, eq=False)
