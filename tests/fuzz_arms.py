@@ -7,10 +7,11 @@ from conftest import ROOT
 from oracles import dh_chain, rot_z
 from scipy.spatial.transform import Rotation
 
-from casacal import Robot, calibrate, export, load, load_problem
-from casacal.compensation.predict import read_joints
+from casacal import Robot, calibrate, load, load_problem
+from casacal.compensation.predict import joints_from
 from casacal.compensation.targets import read_targets
 from casacal.doctor import read_pendant_rows
+from casacal.export.forms import dh_text
 
 HSR = ROOT / "problems" / "hsr_jr680"
 NUMBERS = (
@@ -57,7 +58,7 @@ def dh_files(folder: Path) -> list[Path]:
     """DH tables in CSV and TOML."""
     found = calibrate(HSR, method="lm", reference=False)
     (folder / "arm.csv").write_text(found.export("dh"))
-    (folder / "arm.toml").write_text(export.dh_text(found.arm, toml=True))
+    (folder / "arm.toml").write_text(dh_text(found.arm, toml=True))
     return [folder / "arm.csv", folder / "arm.toml"]
 
 
@@ -120,7 +121,7 @@ def use_result(path: Path) -> None:
 
 def read_joint_values(path: Path) -> object:
     """Joint values for a prediction."""
-    return read_joints(path, load_problem(HSR))
+    return joints_from(path, load_problem(HSR))
 
 
 def read_target_poses(path: Path) -> object:

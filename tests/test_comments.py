@@ -5,7 +5,7 @@ import pytest
 from conftest import ROOT
 
 from casacal import Robot, load_problem
-from casacal.compensation.predict import read_joints
+from casacal.compensation.predict import joints_from
 from casacal.compensation.targets import read_targets
 from casacal.doctor import read_pendant_rows
 from casacal.errors import ProblemError, SamplesError
@@ -123,7 +123,7 @@ def test_a_number_that_no_problem_asks_for_tells_prose(tmp_path):
 
 JOINTS = ",".join(f"q{k}_deg" for k in range(1, 7))
 READERS = {
-    "joints": (lambda path: read_joints(path, load_problem(HSR)), JOINTS, "1,2,3,4,5,6"),
+    "joints": (lambda path: joints_from(path, load_problem(HSR)), JOINTS, "1,2,3,4,5,6"),
     "targets": (lambda path: read_targets(path, load_problem(HSR)), JOINTS, "1,2,3,4,5,6"),
     "poses": (lambda path: read_targets(path, load_problem(HSR)), "x_mm,y_mm,z_mm,qw,qx,qy,qz", "1,2,3,1,0,0,0"),
     "pendant": (lambda path: read_pendant_rows(path, [True]), "q1_deg,x_mm,y_mm,z_mm,qw,qx,qy,qz", "1,2,3,4,1,0,0,0"),

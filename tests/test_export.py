@@ -18,10 +18,13 @@ from scipy.spatial.transform import Rotation
 from test_arms import ODD_JOINTS, UR5_JOINTS, rot_y, xml_chain
 
 import casacal
-from casacal import export, load_problem, simulate
+from casacal import load_problem, simulate
 from casacal.cli.main import main
 from casacal.compensation.arm import CalibratedArm, arm_values
 from casacal.compensation.result_file import read_result
+from casacal.export.controllers import ur_kinematics_text, urdf_text, zero_corrections, zeros_text
+from casacal.export.forms import dh_text
+from casacal.export.functions import c_text
 from casacal.files import write_json
 from casacal.problem.new import new_from_dh, new_from_urdf
 from casacal.robots.urdf import read_urdf
@@ -98,7 +101,7 @@ def without_remarks(text):
 
 def test_a_csv_holds_the_numbers_of_the_calibrated_arm(place):
     result = made(place / "ur5")
-    text = export.dh_text(result)
+    text = dh_text(result)
     assert any("expected tip error: 0.250 mm" in line and "not accuracy" in line for line in remarks(text))
     assert "written by casacal" in remarks(text)[0]
     rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
@@ -127,7 +130,7 @@ def test_a_twist_of_half_a_turn_is_written_so_that_it_reads_back(place, tmp_path
         "problem = Problem(robot, DialOnPlane(noise_std=0.01))\n"
     )
     result = made(tmp_path / "arm", change={"alpha1": 1e-4, "a1": 0.5})
-    (tmp_path / "again.csv").write_text(export.dh_text(result))
+    (tmp_path / "again.csv").write_text(dh_text(result))
     again = casacal.Robot.from_dh_file(tmp_path / "again.csv").arm
     assert again.alpha[0] == pytest.approx(1e-4 - math.pi, abs=1e-12)
     assert again.a[0] == 330.5
@@ -139,7 +142,7 @@ def test_a_twist_of_half_a_turn_is_written_so_that_it_reads_back(place, tmp_path
 def test_a_table_written_afresh_moves_as_the_calibrated_arm(place, tmp_path, name, toml):
     result = made(place / name, 1)
     path = tmp_path / ("a.toml" if toml else "a.csv")
-    path.write_text(export.dh_text(result, toml=toml))
+    path.write_text(dh_text(result, toml=toml))
     robot, original = casacal.Robot.from_dh_file(path), result.source.problem.robot
     values = {key: unknown.nominal for key, unknown in robot.parameters.items()}
     q = np.random.default_rng(0).uniform(-2, 2, len(robot.axes))
@@ -172,7 +175,7 @@ def masked(text, names):
 )
 def test_a_urdf_changes_in_its_origins_alone_and_moves_as_the_calibrated_arm(place, name, text, names, moving):
     result = made(place / name, 2)
-    written = export.urdf_text(result)
+    written = urdf_text(result)
     assert written != text
     before, after = masked(text, moving), masked(written, moving)
     # what a joint lacked is put in: an <origin>, or one of its attributes
@@ -194,17 +197,17 @@ def test_a_urdf_changes_in_its_origins_alone_and_moves_as_the_calibrated_arm(pla
 
 
 def test_what_did_not_change_keeps_every_byte(place):
-    assert export.urdf_text(made(place / "ur", change={})).encode() == UR5_URDF.encode()
-    written = export.urdf_text(made(place / "ur", change={"x3": 0.5}))
+    assert urdf_text(made(place / "ur", change={})).encode() == UR5_URDF.encode()
+    written = urdf_text(made(place / "ur", change={"x3": 0.5}))
     (line,) = [line for line in difflib.ndiff(UR5_URDF.splitlines(), written.splitlines()) if line[0] == "+"]
     assert line == '+     <origin xyz="-0.4245 0 0"/>'
-    turned = export.urdf_text(made(place / "ur", change={"rz1": 1e-3, "z1": 1.0}))
+    turned = urdf_text(made(place / "ur", change={"rz1": 1e-3, "z1": 1.0}))
     assert "rpy='0 0 0.001'\n              xyz='0 0 0.090159' />   <!--" in turned
 
 
 def test_numbers_written_as_character_references(place, tmp_path):
     (tmp_path / "ur.urdf").write_text(UR5_URDF.replace('"-0.425 0 0"', '"&#45;0.425 0&#32;0"'))
-    written = export.urdf_text(made(place / "ur", change={"x3": 0.5}), tmp_path / "ur.urdf")
+    written = urdf_text(made(place / "ur", change={"x3": 0.5}), tmp_path / "ur.urdf")
     assert '<origin xyz="-0.4245 0 0"/>' in written
 
 
@@ -219,7 +222,7 @@ def test_another_urdf_is_not_written_into(place, tmp_path):
         data = text.replace("utf-8", "latin-1").encode("latin-1")
         (tmp_path / "other.urdf").write_bytes(data)
         with pytest.raises(casacal.CasacalError, match=words):
-            export.urdf_text(result, tmp_path / "other.urdf")
+            urdf_text(result, tmp_path / "other.urdf")
 
 
 # --- zero corrections
@@ -228,21 +231,21 @@ def test_another_urdf_is_not_written_into(place, tmp_path):
 def test_pure_zero_offsets_are_found_in_the_controllers_sign(place):
     offsets = np.radians([0.1, -0.05, 0.08, 0.02, -0.03, 0.06])
     result = made(place / "puma", change={f"theta{i}": o for i, o in enumerate(offsets, 1)})
-    found = export.zero_corrections(result)
+    found = zero_corrections(result)
     # the pendant shows joints 2 and 3 reversed, and joint 3 against the ground: model3 = -(shown3 - shown2)
     expected = offsets * (1, -1, 1, 1, 1, 1)
     expected[2] = -offsets[2] + expected[1]
     np.testing.assert_allclose(found.values, expected, atol=1e-9)
     assert found.share == pytest.approx(1)
     assert found.after < 1e-6 < found.before
-    rows = [line for line in export.zeros_text(result).splitlines() if not line.startswith("#")]
+    rows = [line for line in zeros_text(result).splitlines() if not line.startswith("#")]
     assert rows[0] == "joint,correction_deg"
     assert float(rows[3].split(",")[1]) == pytest.approx(math.degrees(expected[2]), abs=1e-6)
 
 
 def test_what_zero_offsets_cannot_express_remains(place):
     result = made(place / "ur5", 4)
-    found, v = export.zero_corrections(result), numbers(result)
+    found, v = zero_corrections(result), numbers(result)
     drawn = {row["name"]: row["nominal"] for row in result.document["parameters"]}
     joints = casacal.uncertainty.workspace.workspace_joints(result.source.problem.robot)
     probe = np.array([[0, 0, 0, 1], [100, 0, 0, 1], [0, 100, 0, 1], [0, 0, 100, 1]]).T
@@ -255,7 +258,7 @@ def test_what_zero_offsets_cannot_express_remains(place):
 
     before, after = (math.sqrt((misses(c) ** 2).sum() / (4 * len(joints))) for c in (np.zeros(6), found.values))
     assert (before, after) == (pytest.approx(found.before, abs=1e-7), pytest.approx(found.after, abs=1e-7))
-    text = export.zeros_text(result)
+    text = zeros_text(result)
     assert f"zero offsets express {100 * (1 - (after / before) ** 2):.0f} %" in text
     assert f"{after:.3f} mm RMS remain" in text
 
@@ -271,7 +274,7 @@ def test_who_follows_the_advice_on_zeros_brings_the_flange_nearer(place):
     zeros = {"theta2": 3e-3, "theta3": -2e-3, "theta5": 2e-3}
     result = made(place / "ur5", change={**zeros, "a2": 0.5, "d4": 0.3, "alpha1": 1e-3, "alpha5": -1e-3})
     v, drawn = numbers(result), {row["name"]: row["nominal"] for row in result.document["parameters"]}
-    text = export.zeros_text(result)
+    text = zeros_text(result)
     assert "(1) subtract each correction from the joint values of every target" in text
     assert "at rest, each joint shows its value + correction" in text
     z = corrections_of(text)
@@ -299,7 +302,7 @@ def test_pure_zero_offsets_vanish_when_the_advice_is_followed(place):
     offsets = np.radians([0.1, -0.05, 0.08, 0.02, -0.03, 0.06])
     arm = made(place / "puma", change={f"theta{i}": o for i, o in enumerate(offsets, 1)})
     targets = np.random.default_rng(0).uniform(-1, 1, (20, 6))
-    z, pose = corrections_of(export.zeros_text(arm)), arm.source.problem.robot.pose
+    z, pose = corrections_of(zeros_text(arm)), arm.source.problem.robot.pose
     there = [
         np.array([np.array(casadi.DM(pose(arm_values(arm, nominal=nominal), casadi.DM(q)))) for q in sent])
         for sent, nominal in ((targets - z, False), (targets, True), (targets, False))
@@ -309,7 +312,7 @@ def test_pure_zero_offsets_vanish_when_the_advice_is_followed(place):
 
 
 def test_sliding_joints_get_millimetres(place):
-    text = export.zeros_text(made(place / "odd"))
+    text = zeros_text(made(place / "odd"))
     rows = [line for line in text.splitlines() if not line.startswith("#")]
     assert rows[0] == "joint,correction_deg,correction_mm"
     assert rows[1].startswith("1,,")
@@ -354,7 +357,7 @@ def test_the_drawn_ur5_gives_ur_descriptions_own_numbers(place):
         "wrist_3": (0, 0.0823, 0, -math.pi / 2, 0, 0),
     }
     for name in ("ur5", "ur"):
-        text = export.ur_kinematics_text(made(place / name, change={}))
+        text = ur_kinematics_text(made(place / name, change={}))
         block = yaml_origins(text)
         for joint, values in expected.items():
             np.testing.assert_allclose(list(block[joint].values()), values, atol=2e-9)
@@ -365,7 +368,7 @@ def test_the_drawn_ur5_gives_ur_descriptions_own_numbers(place):
 def test_a_calibrated_ur_moves_as_its_yaml(place):
     q = np.random.default_rng(5).uniform(-3, 3, 6)
     result = made(place / "ur5", 5)
-    text = export.ur_kinematics_text(result)
+    text = ur_kinematics_text(result)
     v = numbers(result)
     rest = shift(v["a6"], 0, 0) @ rot_x(v["alpha6"])
     np.testing.assert_allclose(yaml_pose(text, q) @ rest, dh_pose(v, q, (2, 3))[0], atol=1e-6)
@@ -378,7 +381,7 @@ def test_a_calibrated_ur_moves_as_its_yaml(place):
         turn[:3, :3] = Rotation.from_euler("xyz", rpy).as_matrix()
         tool = tool @ turn
     expected = np.array(result.source.problem.robot.pose(arm_values(result), q), dtype=float)
-    np.testing.assert_allclose(base @ yaml_pose(export.ur_kinematics_text(result), q) @ tool, expected, atol=1e-6)
+    np.testing.assert_allclose(base @ yaml_pose(ur_kinematics_text(result), q) @ tool, expected, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -392,13 +395,13 @@ def test_a_calibrated_ur_moves_as_its_yaml(place):
 )
 def test_other_arms_are_no_ur(place, name, words):
     with pytest.raises(casacal.CasacalError, match=words):
-        export.ur_kinematics_text(made(place / name))
+        ur_kinematics_text(made(place / name))
 
 
 @pytest.mark.parametrize("name", ["puma", "iiwa", "odd", "kr16", "ur", "ur5"])
 def test_every_form_that_is_advised_works(place, name):
     result = made(place / name)
-    forms = {"dh": export.dh_text, "urdf": export.urdf_text, "ur": export.ur_kinematics_text}
+    forms = {"dh": dh_text, "urdf": urdf_text, "ur": ur_kinematics_text}
     refusals = []
     for function in forms.values():
         try:
@@ -406,7 +409,7 @@ def test_every_form_that_is_advised_works(place, name):
         except casacal.CasacalError as error:
             refusals.append(error.fix)
     assert refusals
-    forms |= {"zeros": export.zeros_text, "c": export.c_text}
+    forms |= {"zeros": zeros_text, "c": c_text}
     for advice in refusals:
         for form in re.split(r", | or ", advice.removeprefix("Export it as ")):
             assert forms[form](result)
@@ -423,7 +426,7 @@ def compiled(place, tmp_path_factory):
 
     def build(result, prefix):
         folder = tmp_path_factory.mktemp("c")
-        (folder / "arm.c").write_text(export.c_text(result, prefix=prefix))
+        (folder / "arm.c").write_text(c_text(result, prefix=prefix))
         command = [compiler, "-std=c99", "-Wall", "-O1", "-fPIC", "-shared", "arm.c", "-o", "arm.so", "-lm"]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         assert (done.returncode, done.stderr) == (0, "")
@@ -492,11 +495,11 @@ def test_jacobian_and_step_by_hand(place, compiled):
 
 def test_c_says_where_it_comes_from_and_cannot_be_broken_out_of(place):
     result = made(place / "ur5")
-    text = export.c_text(result)
+    text = c_text(result)
     assert text.startswith("/*\n * casacal: ur5, calibrated by lm")
     assert "void ur5_pose(" in text
     with pytest.raises(casacal.CasacalError, match="letters, digits and _"):
-        export.c_text(result, prefix="a-b")
+        c_text(result, prefix="a-b")
 
 
 # --- the command, and lengths that stay lengths
@@ -533,17 +536,17 @@ def test_parallel_axes_never_give_absurd_lengths(place, calibrated, tmp_path, na
     if name == "ur":
         there, here = (
             {j.name: np.array(j.xyz) * 1000 for j in read_urdf(path).joints}
-            for path in (place / "ur.urdf", _written(tmp_path / "ur.urdf", export.urdf_text(result)))
+            for path in (place / "ur.urdf", _written(tmp_path / "ur.urdf", urdf_text(result)))
         )
         for joint, xyz in there.items():
             assert np.abs(here[joint] - xyz).max() < reach
-        drawn = yaml_origins(export.ur_kinematics_text(made(place / name, change={})))
-        now = yaml_origins(export.ur_kinematics_text(result))
+        drawn = yaml_origins(ur_kinematics_text(made(place / name, change={})))
+        now = yaml_origins(ur_kinematics_text(result))
         for joint, values in drawn.items():
             assert max(1000 * abs(now[joint][k] - values[k]) for k in "xyz") < reach
         return
     source = place / ("ur5.csv" if name == "ur5" else "puma.toml")
-    text = export.dh_text(result, toml=source.suffix == ".toml")
+    text = dh_text(result, toml=source.suffix == ".toml")
     table = casacal.robots.dh_table.read_dh_file(_written(tmp_path / source.name, text))
     began = casacal.robots.dh_table.read_dh_file(source)
     for key in ("a", "d"):
@@ -552,8 +555,8 @@ def test_parallel_axes_never_give_absurd_lengths(place, calibrated, tmp_path, na
     # without Hayati's turn the very same axes would stand far away: the test can fail
     assert abs(common_normal(frames[1], frames[2])) > 100
     if name == "ur5":
-        now = yaml_origins(export.ur_kinematics_text(result))
-        drawn = yaml_origins(export.ur_kinematics_text(made(place / name, change={})))
+        now = yaml_origins(ur_kinematics_text(result))
+        drawn = yaml_origins(ur_kinematics_text(made(place / name, change={})))
         for joint, values in drawn.items():
             assert max(1000 * abs(now[joint][k] - values[k]) for k in "xyz") < reach
 
@@ -618,9 +621,9 @@ def test_an_arm_of_ones_own_exports_what_needs_no_form(tmp_path):
     )
     (tmp_path / "problem.py").write_text(text)
     result = made(tmp_path)
-    assert "own_pose" in export.c_text(result, prefix="own")
-    assert export.zero_corrections(result).after < export.zero_corrections(result).before
-    for function in (export.dh_text, export.urdf_text, export.ur_kinematics_text):
+    assert "own_pose" in c_text(result, prefix="own")
+    assert zero_corrections(result).after < zero_corrections(result).before
+    for function in (dh_text, urdf_text, ur_kinematics_text):
         with pytest.raises(casacal.CasacalError, match=r"was not built from.*Export it as zeros or c"):
             function(result)
 
@@ -638,7 +641,7 @@ def test_least_squares_agrees_on_zero_offsets_of_a_small_arm(tmp_path):
         return np.ravel([(dh_pose(v, q, count=2)[0] - dh_pose(drawn, q + c, count=2)[0]) @ probe for q in joints])
 
     found = least_squares(misses, np.zeros(2), xtol=1e-12)
-    np.testing.assert_allclose(export.zero_corrections(result).values, found.x, atol=1e-8)
+    np.testing.assert_allclose(zero_corrections(result).values, found.x, atol=1e-8)
 
 
 SCREWS = """from casacal import DialOnPlane, Problem, Robot
@@ -664,7 +667,7 @@ def test_screws_calibrate_and_export_also_with_a_part_held(tmp_path, capsys):
     assert main(["calibrate", str(folder), str(samples), *held]) == 0
     assert "ipopt agrees" in capsys.readouterr().out
     result = read_result(out / "result.json")
-    moved = export.zero_corrections(result)
+    moved = zero_corrections(result)
     assert 0 < moved.after < moved.before < 20
     with pytest.raises(casacal.CasacalError, match="was not built from a DH table or a URDF"):
-        export.ur_kinematics_text(result)
+        ur_kinematics_text(result)

@@ -31,9 +31,10 @@ from casacal.calibration.given import METHODS
 from casacal.cli.main import main
 from casacal.compensation.predict import predict
 from casacal.compensation.result_file import read_result
-from casacal.export import c_text, dh_text, remark, ur_kinematics_text, urdf_text, zero_corrections, zeros_text
-from casacal.export.forms import export
-from casacal.export.functions import pose_function, tip_function, values_of
+from casacal.export.controllers import ur_kinematics_text, urdf_text, zero_corrections, zeros_text
+from casacal.export.forms import dh_text, export
+from casacal.export.functions import c_text, pose_function, tip_function, values_of
+from casacal.export.remark import remark
 
 Q = np.array([[0.1, -0.4, 0.3, 0.2, 0.9, 0.1], [0.3, -0.2, 0.1, -0.5, 0.7, -0.2]])
 

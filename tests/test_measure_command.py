@@ -78,8 +78,8 @@ def test_lines_are_understood(hsr, planned, line, reading, first, face):
     session = Session(hsr.problem, planned[1])
     touch = session.next()
     typed = touch_of(line, hsr.problem.layout(), touch, PLAIN)
-    assert typed.readings == pytest.approx((reading,))
-    assert typed.labels == (face or touch.labels["plane"],)
+    assert tuple(typed.readings.values()) == pytest.approx((reading,))
+    assert typed.labels == {"plane": face or touch.labels["plane"]}
     expected = touch.joints[0] if first is None else np.radians(first)
     assert typed.joints[0] == pytest.approx(expected)
 
@@ -131,10 +131,10 @@ def test_ones_own_gauge():
 
 
 def test_words_are_commands():
-    assert command_of("u").word == command_of("UNDO").word == "undo"
-    assert command_of("u 7").number == 7
-    assert command_of("c 2").word == "correct"
-    assert command_of("?").word == "help"
+    assert command_of("u") == command_of("UNDO") == ("undo", None)
+    assert command_of("u 7") == ("undo", 7)
+    assert command_of("c 2") == ("correct", 2)
+    assert command_of("?") == ("help", None)
     assert command_of("3.2") is None
     with pytest.raises(CasacalError, match="is no number"):
         command_of("u it")
@@ -647,7 +647,7 @@ def test_an_angle_is_typed_in_the_unit_in_which_it_is_asked_for(hsr):
     assert "encoder about 1085.44 deg" in posture(touch, layout)
     for line in ("1085", "1085 deg", "18.936822 rad", "10 20 30 -40 50 60 1085"):
         typed = touch_of(line, layout, touch, PLAIN)
-        assert typed.readings == pytest.approx((np.radians(1085),))
+        assert tuple(typed.readings.values()) == pytest.approx((np.radians(1085),))
         assert typed.joints == pytest.approx(joints)
     with pytest.raises(CasacalError, match=r"in mm, which is no unit of this reading\. Give it in deg, ° or rad"):
         touch_of("1085 mm", layout, touch, PLAIN)

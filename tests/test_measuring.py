@@ -4,6 +4,7 @@ import math
 import pickle
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from scipy.stats import chi2, multivariate_normal
 
 from casacal import CasacalError, Session, bind, lm, load_problem, plan
 from casacal.measuring.conversation import ended
-from casacal.measuring.known import LinearRows, error_below, expected_error, spectrum
+from casacal.measuring.known import LinearRows, _fitted, error_below, spectrum
 from casacal.measuring.touch import Touch, rows_of, slips_of
 from casacal.planning.candidates import Clearance
 from casacal.robots.links import nodes_of
@@ -63,6 +64,19 @@ def test_the_belief_is_what_least_squares_find(late):
     assert late.tip_error == pytest.approx(expected_accuracy(bound, found.x)[1], rel=0.01)
 
 
+def test_a_covariance_short_of_positive_is_a_belief_all_the_same(late, monkeypatch):
+    bound = late.state.known.bound
+    found, across = lm(bound), np.eye(bound.x0.size)[0]
+    scaled = found.covariance / np.outer(bound.start_std, bound.start_std)
+    flat = scaled - np.outer(scaled[0], scaled[0]) / scaled[0, 0] - 1e-13 * np.outer(across, across)
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.cholesky(flat)
+    short = SimpleNamespace(x=found.x, covariance=flat * np.outer(bound.start_std, bound.start_std))
+    monkeypatch.setattr("casacal.measuring.known.lm", lambda _: short)
+    root = _fitted(bound).root
+    np.testing.assert_allclose(root @ root.T, flat, atol=1e-12)
+
+
 def test_it_expects_less_with_every_touch(hsr, route, world):
     session, before = Session(hsr.problem, route), math.inf
     assert session.tip_error is None
@@ -82,7 +96,7 @@ def test_nineteen_of_twenty():
     moves = (field @ root @ rng.normal(size=(6, 200_000))).reshape(10, 3, -1)
     drawn = np.sqrt((moves**2).sum(axis=1).mean(axis=0))
     weights = spectrum(root, field)
-    assert expected_error(weights) == pytest.approx(np.sqrt((drawn**2).mean()), rel=0.01)
+    assert np.sqrt(weights.sum()) == pytest.approx(np.sqrt((drawn**2).mean()), rel=0.01)
     assert error_below(weights) == pytest.approx(np.quantile(drawn, 0.95), rel=0.01)
     assert error_below(weights, 0.5) == pytest.approx(np.quantile(drawn, 0.5), rel=0.03)
 

@@ -6,6 +6,9 @@ import json
 import os
 import random
 import shutil
+import subprocess
+import sys
+from importlib import import_module
 from typing import get_args
 
 import casadi as ca
@@ -20,7 +23,7 @@ from test_own_instrument import written
 import casacal
 from casacal import CasacalError, calibrate, load, load_problem, simulate
 from casacal.cli.main import main
-from casacal.compensation.as_data import problem_data, problem_from
+from casacal.compensation.as_data import KINDS, problem_data, problem_from
 from casacal.compensation.document import misfits, schema_text
 from casacal.compensation.result import Level
 from casacal.compensation.result_file import SCHEMA, read_result
@@ -64,6 +67,26 @@ def made(tmp_path_factory):
         assert main(["simulate", str(folder), "--out", str(folder / "samples.csv"), "--samples", "60"]) == 0
         calibrate(folder, method="lm", reference=False).save(folder / "out")
     return place
+
+
+def test_formats_that_an_arm_does_not_use_are_not_loaded():
+    """A dial needs neither trackers nor known points."""
+    code = (
+        "import sys\nfrom casacal import calibrate\n"
+        "from casacal.calibration import result_json\n"
+        "from casacal.compensation.as_data import problem_data, problem_from\n"
+        "from casacal.problem.problem_file import load_problem\n"
+        f"problem_from(problem_data(load_problem({str(ROOT / 'problems' / 'hsr_jr680')!r}).problem))\n"
+        "print(*sorted({'instruments.points', 'instruments.tracked_pose'} & "
+        "{name.removeprefix('casacal.') for name in sys.modules}))\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == ""
+
+
+def test_every_class_of_the_data_is_where_it_is_said_to_be():
+    for name, home in KINDS.items():
+        assert getattr(import_module(home), name).__module__ == home
 
 
 @pytest.mark.parametrize("name", PROBLEMS)

@@ -24,11 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "SETS", "a folder of sets, such as studies/bench, or one set's own folder")
     add(parser, "--data DIR", f"where the measurements are; default: {WHERE}")
     add(parser, "--only NAME ...", "this set; may be repeated")
-    words = (
-        "a Python file with `methods`, functions (problem, fitted, unseen) by name, to compare besides those of the "
-        "methods.py among the sets; may be repeated"
-    )
-    add(parser, "--methods FILE ...", words)
+    words = "a Python file with `methods`, functions (problem, fitted, unseen) by name, to compare besides those of "
+    add(parser, "--methods FILE ...", f"{words}the methods.py among the sets; may be repeated")
     add(parser, "--method NAME ...", "this method; may be repeated")
     add(parser, "--quick", "few rows, one block of each set: a minute or two")
     add_running(parser)

@@ -10,28 +10,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from casacal.cli.common import (
-    DONE,
-    FAILED,
-    JSON,
-    PROBLEM,
-    add,
-    add_adjustments,
-    add_samples,
-    adjusted,
-    adjustments,
-    box_of,
-    check_folder,
-    made_from,
-    names_of,
-    numbers_of,
-    read_samples,
-    sample_files,
-    spare,
-    whole_number,
-)
+from casacal.cli import common
+from casacal.cli.common import DONE, FAILED, JSON, PROBLEM, add, whole_number
 from casacal.cli.terminal import on_stderr, say, say_json, say_lines, width, wrapped, write_progress
 from casacal.errors import CasacalError
 from casacal.wording import mm
@@ -53,22 +35,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "result can be trusted. Exit 1 if it must not be used."
     )
     add(parser, *PROBLEM)
-    add_samples(parser)
+    common.add_samples(parser)
     add(parser, "--method", "default: sckf-lm; with --loss, lm", choices=METHOD_NAMES)
     add(parser, "--holdout F", "fraction of the rows to hold out", kind=float, default=0.0)
     words = "rows (default: some of each face), region (neighbouring postures), face, or a column, such as session"
     add(parser, "--holdout-by WHAT", words)
     add(parser, "--seed K", "for held-out rows and random methods", kind=whole_number, default=0)
-    add_adjustments(parser)
+    common.add_adjustments(parser)
     words = "keep gross rows from pulling the fit; not with sckf, ekf, plane-only"
     add(parser, "--loss", words, choices=("huber", "tukey"))
     add(parser, "--box X0:X1,Y0:Y1,Z0:Z1", "also give the tip error expected inside this box, mm, base frame")
     add(parser, "--noise", "found (default): from the rows, but at least as stated", choices=("found", "stated"))
     add(parser, "--keep-outliers", "fit all rows, including outliers")
-    words = (
-        "kit (default): allow for errors beside the geometry, such as gravity sag and backlash, and correct "
-        "those that improve held-out rows; none: geometry alone"
-    )
+    words = "kit (default): allow for errors beside the geometry, such as gravity sag and backlash, and correct "
+    words += "those that improve held-out rows; none: geometry alone"
     add(parser, "--discrepancy", words, default="kit", choices=("kit", "none"))
     words = "solver of the cross-check: ipopt (default), fatrop, sqpmethod or another nlpsol plug-in of CasADi"
     add(parser, "--reference NAME", words)
@@ -89,11 +69,14 @@ def run(options: argparse.Namespace) -> int:
     """Calibrate as the options say; returns 0, or 1 when the result must not be used."""
     from casacal.calibration.calibrate import calibrate
     from casacal.calibration.result_json import FILES
+    from casacal.files import check_writable
     from casacal.least_squares.losses import huber, tukey
     from casacal.problem.problem_file import load_problem
 
     if options.out is not None:
-        check_folder("--out", options.out)
+        if not options.out.strip() or (Path(options.out).exists() and not Path(options.out).is_dir()):
+            raise CasacalError(f"--out '{options.out}' is no folder", "Name a folder, or one that does not exist yet")
+        check_writable(Path(options.out))
     if options.holdout_by is not None and not options.holdout_by.strip():
         raise CasacalError("--holdout-by is empty", "Give rows, region, face or a column, or leave it out")
     if options.holdout_by is not None and not options.holdout:
@@ -101,15 +84,15 @@ def run(options: argparse.Namespace) -> int:
     if options.reference is not None and options.no_reference:
         raise CasacalError(f"Got --reference {options.reference} with --no-reference", "Leave one of them out")
     source = load_problem(options.problem)
-    problem = adjusted(source.problem, options)
-    given = sample_files(source, options)
+    problem = common.adjusted(source.problem, options)
+    given = common.sample_files(source, options)
     loosen, standing, prior = _since(options)
     if options.out is not None:
         places = [Path(options.out) / name for name in FILES]
-        read: list[str | Path] = [] if prior is None else [prior.file, *made_from(prior)]
-        spare(places, *given.values(), options.readings, *(file.path for file in source.files), *read)
-    samples = read_samples(source, options)
-    box = None if options.box is None else box_of(options.box)
+        read: list[str | Path] = [] if prior is None else [prior.file, *common.made_from(prior)]
+        common.spare(places, *given.values(), options.readings, *(file.path for file in source.files), *read)
+    samples = common.read_samples(source, options)
+    box = None if options.box is None else common.box_of(options.box)
     method = options.method or ("sckf-lm" if options.loss is None else "lm")
     with _progress(method) as progress, nullcontext() if options.reference is None else on_stderr():
         calibration = calibrate(
@@ -134,18 +117,18 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _since(options: argparse.Namespace) -> tuple[dict[str, float | None], list[str], CalibratedArm | None]:
-    """What may have changed since an earlier result, what has not, and that result; None where there is none."""
+    """Stds by name of --loosen, names of --standing, and the result of --prior-from; None where there is none."""
     from casacal.compensation.result_file import read_result
 
-    given = names_of("--loosen", options.loosen)
+    given = common.names_of("--loosen", options.loosen)
     stds: dict[str, float | None] = dict.fromkeys(name for name in given if "=" not in name)
-    stds |= numbers_of("--loosen", [name for name in given if "=" in name], "NAME=STD", "mm or rad, such as theta=2e-5")
-    standing = names_of("--standing", options.standing)
+    stds |= common.stds_of("--loosen", [name for name in given if "=" in name], "theta=2e-5")
+    standing = common.names_of("--standing", options.standing)
+    if options.prior_from is None and not stds and not standing:
+        return {}, [], None
     if options.prior_from is None:
-        if stds or standing:
-            fix = "Name the earlier result: --prior-from RESULT"
-            raise CasacalError("Got --loosen or --standing without --prior-from", fix)
-        return stds, standing, None
+        what = "Got --loosen or --standing without --prior-from"
+        raise CasacalError(what, "Name the earlier result: --prior-from RESULT")
     if options.prior or options.accuracy is not None:
         what = "Got --prior or --accuracy, which say how good the drawing is, with --prior-from"
         raise CasacalError(what, "Say with --loosen NAME=STD what may have changed since the earlier result")
@@ -164,33 +147,31 @@ def _told(calibration: Calibration, source: ProblemFile, box: Box | None, option
 
     verdict = verdict_of(calibration)
     denied = verdict.level == "do not use"
-    inside = None
+    expected, found = list[str](), dict[str, Any]()
     if box is not None and not denied:
         motion = calibration.motion
-        inside = accuracy_in_box(motion.arm, motion.x, box, motion.off)
-    expected = []
-    if inside is not None:
-        expected = [f"Inside {options.box} mm: a tip error of {mm(inside[0])} RMS, {mm(inside[1])} at worst."]
+        error, worst = accuracy_in_box(motion.arm, motion.x, box, motion.off)
+        expected = [f"Inside {options.box} mm: a tip error of {mm(error)} RMS, {mm(worst)} at worst."]
+        found["box"] = {"range_mm": box, "expected_rms_mm": error, "worst_mm": worst}
     if marked := sum(file.text.count(FILL_IN) for file in source.files):
         lines = "1 line of the problem file is" if marked == 1 else f"{marked} lines of the problem file are"
         expected += [f"{lines} marked {FILL_IN}: what stands there is assumed."]
-    if not denied:
-        expected += [" ".join(corrected_words(calibration))] if calibration.corrected else []
+    if not denied and calibration.corrected:
+        expected.append(" ".join(corrected_words(calibration)))
     folder = None if options.out is None else Path(options.out).as_posix()
     last = "Parameters and what the samples do not show: --verbose"
     if folder is not None:
         last = f"Written: {folder}/report.html and result.json"
     if options.json:
-        found = (
-            {} if inside is None else {"box": {"range_mm": box, "expected_rms_mm": inside[0], "worst_mm": inside[1]}}
-        )
         say_json({**calibration_document(calibration, source), **found})
     elif options.verbose:
         say_lines("\n\n".join([summary(calibration, source.name).rstrip(), *expected]))
     else:
-        sets = [word for each in options.sets for word in ("--samples", each)]
-        rows = [options.samples] if options.samples else []
-        about = shlex.join([options.problem, *rows, *sets, *adjustments(options)])
+        again = {"--samples": options.sets, "--fix": options.fix, "--free": options.free, "--set": options.set}
+        again |= {"--prior": options.prior}
+        again |= {"--accuracy": [] if options.accuracy is None else [f"{options.accuracy:g}"]}
+        words = [word for name, each in again.items() for one in each for word in (name, one)]
+        about = shlex.join([options.problem, *([options.samples] if options.samples else []), *words])
         room = MOST_LINES - len(wrapped(last))
         say_lines(brief(calibration, verdict, about=about, out=folder, expected=expected, width=width(), room=room))
     if folder is not None:

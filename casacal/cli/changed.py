@@ -5,20 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from casacal.cli.common import (
-    DONE,
-    FAILED,
-    JSON,
-    add,
-    add_fresh_rows,
-    fresh_rows,
-    made_from,
-    names_of,
-    numbers_of,
-    spare,
-    whole_number,
-)
-from casacal.cli.terminal import say_json, say_paragraphs
+from casacal.cli import common
+from casacal.cli.common import DONE, FAILED, JSON, add, whole_number
+from casacal.cli.terminal import answer
 
 HELP = "tell whether the robot has changed since, what, and by how much"
 
@@ -32,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "calibration, which one and by how much. Where the rows cannot tell, plan the touches that would. Exit 1 if "
         "something changed or is undecided."
     )
-    add_fresh_rows(parser, "faces that have not been moved since the calibration")
+    common.add_fresh_rows(parser, "faces that have not been moved since the calibration")
     add(parser, "--alarm RATE", "rate of false alarms, 0.001 to 0.5; default: 0.01", kind=float, default=0.01)
     add(parser, "--drift NAME=STD ...", "allowed drift since, a standard deviation in mm or rad, such as theta=2e-5")
     add(parser, "--touches FILE", f"write {TOUCHES} touches that would settle the cause, where needed")
@@ -46,23 +35,20 @@ def run(options: argparse.Namespace) -> int:
     from casacal.changes.changed import looked
     from casacal.changes.explain import write_touches
 
-    result, other, named, rows = fresh_rows(options)
+    result, other, named, rows = common.fresh_rows(options)
     outs = [] if options.touches is None else [options.touches]
-    spare(outs, options.samples, options.readings, result.file, *made_from(result))
-    standing = names_of("--standing", options.standing)
+    common.spare(outs, options.samples, options.readings, result.file, *common.made_from(result))
+    standing = common.names_of("--standing", options.standing)
     given = opened(result, rows, problem=other, instrument=named, standing=standing)
-    drift = numbers_of("--drift", options.drift, "NAME=STD", "mm or rad, such as theta=2e-5")
+    drift = common.stds_of("--drift", options.drift, "theta=2e-5")
     touches = 0 if options.touches is None else TOUCHES
     found, _ = looked(given, standing, drift, alarm=options.alarm, touches=touches, seed=options.seed)
-    written = list[str]()
+    said, written = found.summary().split("\n"), list[str]()
     if options.touches is not None and found.touches is not None:
         write_touches(options.touches, found, given.source.problem.layout(), given.source.name)
         written.append(Path(options.touches).as_posix())
-    if options.json:
-        say_json({**found.to_dict(), "written": written})
-    else:
-        say_paragraphs(*found.summary().split("\n"))
-        say_paragraphs(*(f"Written: {place}" for place in written))
-        if options.touches is not None and found.touches is None:
-            say_paragraphs(f"{options.touches} was not written: no touches are needed, or no useful ones are in reach.")
+        said.append(f"Written: {written[0]}")
+    elif options.touches is not None:
+        said.append(f"{options.touches} was not written: no touches are needed, or no useful ones are in reach.")
+    answer(options, {**found.to_dict(), "written": written}, *said)
     return DONE if found.changed is False else FAILED

@@ -6,7 +6,8 @@ import argparse
 from dataclasses import asdict
 
 from casacal.cli.common import DONE, FAILED, JSON, PROBLEM, add, add_adjustments, add_samples, adjusted, read_samples
-from casacal.cli.terminal import say_json, say_paragraphs
+from casacal.cli.terminal import answer
+from casacal.wording import counted
 
 HELP = "find mistakes in samples before fitting"
 
@@ -29,11 +30,8 @@ def run(options: argparse.Namespace) -> int:
     samples = read_samples(source, options, absurd=True)
     findings = check(adjusted(source.problem, options), samples)
     counts = {word: sum(f.severity == word for f in findings) for word in ("error", "warning", "remark")}
-    if options.json:
-        data = {"file": samples.file, "sha256": samples.sha256, "samples": len(samples)}
-        say_json({"problem": source.name, "data": data, "counts": counts, "findings": [asdict(f) for f in findings]})
-    else:
-        say_paragraphs(*map(str, findings))
-        said = ", ".join(f"{count} {word}{'s' if count != 1 else ''}" for word, count in counts.items())
-        say_paragraphs(f"{len(samples)} samples of {samples.file}: {said}")
+    data = {"file": samples.file, "sha256": samples.sha256, "samples": len(samples)}
+    found = {"problem": source.name, "data": data, "counts": counts, "findings": [asdict(f) for f in findings]}
+    said = ", ".join(counted(count, word) for word, count in counts.items())
+    answer(options, found, *map(str, findings), f"{len(samples)} samples of {samples.file}: {said}")
     return FAILED if counts["error"] else DONE

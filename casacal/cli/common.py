@@ -47,27 +47,25 @@ def add(
     elif not value and choices is None:
         parser.add_argument(name, action="store_true", help=words)
     else:
-        several, often = value.endswith("+"), value.endswith(" ...")
+        often = value.endswith(" ...")
         parser.add_argument(
             name,
             metavar=value.removesuffix(" ...").removesuffix("+") or None,
             action="append" if often else "store",
-            nargs="+" if several else None,
+            nargs="+" if value.endswith("+") else None,
             type=kind,
             default=[] if often else default,
             choices=choices,
             required=required,
-            dest=dest or name.lstrip("-").replace("-", "_"),
+            dest=dest,
             help=words,
         )
 
 
 PROBLEM = "PROBLEM", "a folder with a problem.py, or such a file"
 RESULT = "RESULT", "result.json of casacal calibrate, or the .truth.json of casacal simulate"
-INSTRUMENT = (
-    "--instrument NAME",
-    "instrument whose tip is meant; default: the first, where a problem has several instruments",
-)
+OF_SEVERAL = "where a problem has several instruments"
+INSTRUMENT = "--instrument NAME", f"instrument whose tip is meant; default: the first, {OF_SEVERAL}"
 FORCE = "--force", "accept a result that must not be used; the file says so"
 JSON = "--json", "print the answer as JSON, and nothing else"  # arguments of several commands, as `add` takes them
 
@@ -87,17 +85,14 @@ def of_instrument(source: ProblemFile, name: str | None) -> ProblemFile:
 
 
 def _add_readings(parser: argparse.ArgumentParser) -> None:
-    """Readings that come apart from their joint values."""
     add(parser, "--readings FILE", "CSV or .xlsx with the readings, when SAMPLES has none")
     add(parser, "--id COLUMN", "column that joins readings to their poses; default: pose", default="pose")
 
 
 def add_fresh_rows(parser: argparse.ArgumentParser, standing: str) -> None:
-    """A result and rows that it has not seen, of its own instrument or another; what faces that stand are to it."""
+    """A result and rows that it has not seen, of its own instrument or another; `standing`: of --standing."""
     add(parser, *RESULT)
-    words = (
-        "instrument that took these rows; default: the one with these columns, where a problem has several instruments"
-    )
+    words = f"instrument that took these rows; default: the one with these columns, {OF_SEVERAL}"
     add(parser, "--instrument NAME", words)
     add(parser, "SAMPLES", "fresh rows: CSV, .xlsx, .npy or .npz")
     _add_readings(parser)
@@ -123,20 +118,17 @@ def fresh_rows(options: argparse.Namespace) -> tuple[CalibratedArm, ProblemFile 
 
 
 def spare(outs: Iterable[str | Path], *inputs: str | Path | None, option: str = "--out", own: bool = False) -> None:
-    """Raise CasacalError where a command would write over what it reads, or what casacal did not write.
-
-    own: whether the command itself knows its own files from others.
-    """
+    """Raise CasacalError where a command would write over its inputs or, unless `own`, over files of others."""
     from casacal.files import recover, refuse_others
 
+    read = [Path(given) for given in inputs if given is not None and Path(given).is_file()]
     for out in outs:
-        if Path(out).suffix.lower() in (".xlsx", ".npy", ".npz"):
-            raise CasacalError(f"'{out}' would not be a {Path(out).suffix} file", "Name one that ends in .csv")
-        recover(Path(out).parent)
-        for given in inputs:
-            if given is not None and Path(given).is_file() and Path(out).exists() and Path(out).samefile(given):
-                fix = f"Name another {option}"
-                raise CasacalError(f"'{out}' is to be written, and it is what the command reads", fix)
+        path = Path(out)
+        if path.suffix.lower() in (".xlsx", ".npy", ".npz"):
+            raise CasacalError(f"'{out}' would not be a {path.suffix} file", "Name one that ends in .csv")
+        recover(path.parent)
+        if path.exists() and any(path.samefile(given) for given in read):
+            raise CasacalError(f"'{out}' is to be written, and it is what the command reads", f"Name another {option}")
         if not own:
             refuse_others(out, option=option)
 
@@ -152,21 +144,11 @@ def read_arm(options: argparse.Namespace, *inputs: str | None) -> CalibratedArm:
     return result
 
 
-def check_folder(option: str, place: str) -> None:
-    """Raise CasacalError for what cannot be a folder that is written to, before anything is computed for it."""
-    from casacal.files import check_writable
-
-    if not place.strip() or (Path(place).exists() and not Path(place).is_dir()):
-        raise CasacalError(f"{option} '{place}' is no folder", "Name a folder, or one that does not exist yet")
-    check_writable(Path(place))
-
-
 def made_from(result: CalibratedArm) -> list[Path]:
     """The files that a result's arm and samples came from, where they may still stand."""
-    place = Path(result.file).parent
     data = result.found.data
-    named = [file.path for file in result.source.files] + [data.file, *data.instruments.values()]
-    return [place / name for name in named if name]
+    named = [*(file.path for file in result.source.files), data.file, *data.instruments.values()]
+    return [Path(result.file).parent / name for name in named if name]
 
 
 def whole_number(text: str) -> int:
@@ -179,8 +161,7 @@ def whole_number(text: str) -> int:
 def box_of(text: str, *, option: str = "--box") -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]]:
     """Ranges of x, y, z, mm, as --box says them; raises CasacalError."""
     try:
-        ranges = [tuple(float(value) for value in part.split(":")) for part in text.split(",")]
-        (x0, x1), (y0, y1), (z0, z1) = ranges
+        (x0, x1), (y0, y1), (z0, z1) = (map(float, part.split(":")) for part in text.split(","))
     except ValueError:
         raise CasacalError(f"{option} {text} is not X0:X1,Y0:Y1,Z0:Z1", "Give three ranges in mm") from None
     return (x0, x1), (y0, y1), (z0, z1)
@@ -189,19 +170,14 @@ def box_of(text: str, *, option: str = "--box") -> tuple[tuple[float, float], tu
 def add_samples(parser: argparse.ArgumentParser) -> None:
     """The samples a command reads, and readings that come apart from them."""
     add(parser, "[SAMPLES]", "CSV (-: standard input), .xlsx, .npy or .npz; default: samples.csv beside the problem")
-    words = (
-        "samples of each of several instruments, such as --samples dial=a.csv --samples tracker=b.csv; default: "
-        "samples-dial.csv and so on beside the problem"
-    )
+    words = "samples of each of several instruments, such as --samples dial=a.csv --samples tracker=b.csv; default: "
+    words += "samples-dial.csv and so on beside the problem"
     add(parser, "--samples NAME=FILE ...", words, dest="sets")
     _add_readings(parser)
 
 
 def sample_files(source: ProblemFile, options: argparse.Namespace) -> dict[str, str]:
-    """The samples file of each instrument, by its name: those that were named, or those beside the problem.
-
-    Raises CasacalError where there is none, and for an instrument that there is not.
-    """
+    """The samples file of each instrument, by its name: as named, or beside the problem; CasacalError where none is."""
     names = source.problem.names
     if len(names) == 1:
         if options.sets:
@@ -269,7 +245,7 @@ def adjusted(problem: Problem, options: argparse.Namespace) -> Problem:
         example = "sign=-1, noise_std=0.02 or travel=-5:5"
         problem = problem.with_settings(_read("--set", options.set, "NAME=NUMBER", example, number_or_range))
     free, fix = names_of("--free", options.free), names_of("--fix", options.fix)
-    priors = numbers_of("--prior", options.prior, "NAME=STD", "mm or rad, such as a3=0.5")
+    priors = stds_of("--prior", options.prior, "a3=0.5")
     problem = problem.free(*free).with_prior(priors).fix(*fix)
     left = problem.free_names() if fix else [*free, *priors]
     for asked, names in (("freed (--free)", free), ("given a prior (--prior)", priors)):
@@ -277,13 +253,6 @@ def adjusted(problem: Problem, options: argparse.Namespace) -> Problem:
             if name not in left:
                 raise CasacalError(f"'{name}' is both {asked} and held (--fix)", "Give it in one of the two")
     return problem
-
-
-def adjustments(options: argparse.Namespace) -> list[str]:
-    """The same options as words of another command line."""
-    accuracy = [] if options.accuracy is None else [f"{options.accuracy:g}"]
-    given = {"--fix": options.fix, "--free": options.free, "--set": options.set, "--prior": options.prior}
-    return [word for name, each in {**given, "--accuracy": accuracy}.items() for one in each for word in (name, one)]
 
 
 def names_of(option: str, groups: Sequence[str]) -> list[str]:
@@ -297,18 +266,9 @@ def names_of(option: str, groups: Sequence[str]) -> list[str]:
     return found
 
 
-def stds_of(option: str, settings: Sequence[str]) -> dict[str, float]:
-    """Standard deviations by name, as they stand after an option; raises CasacalError for what is none."""
-    found = numbers_of(option, settings, "NAME=STD", "mm or rad, such as theta4=0.01")
-    for name, std in found.items():
-        if not 0 < std < math.inf:
-            raise CasacalError(f"{option} {name}={std:g} is no standard deviation", "Give a positive number")
-    return found
-
-
-def numbers_of(option: str, settings: Sequence[str], form: str, example: str) -> dict[str, float]:
-    """Numbers by name that stand after an option; raises CasacalError for what is none."""
-    return _read(option, settings, form, example, _number)
+def stds_of(option: str, settings: Sequence[str], example: str) -> dict[str, float]:
+    """Numbers (mm, rad; of any sign) by name, as they stand after an option; raises CasacalError with the example."""
+    return _read(option, settings, "NAME=STD", f"mm or rad, such as {example}", _number)
 
 
 def _read(
@@ -335,10 +295,10 @@ def add_where(parser: argparse.ArgumentParser) -> None:
 
 def where(options: argparse.Namespace, source: ProblemFile) -> tuple[Box | None, Array | None]:
     """The box and the joint values (M, n) that were named."""
-    from casacal.compensation.predict import read_joints
+    from casacal.compensation.predict import joints_from
 
     box = None if options.box is None else box_of(options.box)
-    return box, None if options.targets is None else read_joints(options.targets, source).joints
+    return box, None if options.targets is None else joints_from(options.targets, source).joints
 
 
 def _number(text: str) -> float:
@@ -350,10 +310,8 @@ def _number(text: str) -> float:
 def number_or_range(text: str) -> float | tuple[float, float]:
     """10, or -5:5; raises ArgumentTypeError for anything else, as argparse asks."""
     try:
-        if ":" not in text:
-            return _number(text)
-        low, high = (_number(part) for part in text.split(":"))
-        return low, high
+        low, *high = (_number(part) for part in text.split(":", 1))
+        return (low, high[0]) if high else low
     except ValueError:
         raise argparse.ArgumentTypeError(f"'{text}' is no number, nor a range of two such as -5:5") from None
 
@@ -367,8 +325,9 @@ TABLE = (
 
 def table_of(source: ProblemFile, options: argparse.Namespace) -> float:
     """Height of the table, mm: as it was named, or as the problem file's cell has it, or the base plane."""
-    own = 0.0 if source.cell is None else source.cell.table
-    return own if options.table is None else float(options.table)
+    if options.table is not None:
+        return float(options.table)
+    return 0.0 if source.cell is None else source.cell.table
 
 
 def on_table(source: ProblemFile, options: argparse.Namespace) -> ProblemFile:
@@ -396,9 +355,8 @@ def clearance_of(options: argparse.Namespace) -> Clearance | None:
     """What was said; None where there is nothing."""
     from casacal.planning.candidates import Clearance
 
-    if not options.keep_out and options.link_radius is None:
-        return None
-    if options.link_radius is not None and options.link_radius < THINNEST:
-        raise CasacalError(f"--link-radius is {options.link_radius:g} mm, which no link is", "Give mm: 0.05 m are 50")
+    radius = options.link_radius
+    if radius is not None and radius < THINNEST:
+        raise CasacalError(f"--link-radius is {radius:g} mm, which no link is", "Give mm: 0.05 m are 50")
     boxes = tuple(box_of(text, option="--keep-out") for text in options.keep_out)
-    return Clearance(boxes, options.link_radius)
+    return None if radius is None and not boxes else Clearance(boxes, radius)

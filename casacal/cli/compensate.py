@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from casacal.cli.common import DONE, FAILED, FORCE, INSTRUMENT, JSON, RESULT, add, add_frame, read_arm
-from casacal.cli.terminal import say_json, say_paragraphs
+from casacal.cli.terminal import answer
+from casacal.errors import CasacalError
+from casacal.wording import capital
 
 if TYPE_CHECKING:
-    from casacal.compensation.targets import Compensation
+    from casacal.array_types import Array
     from casacal.robots.robot import Robot
 
 HELP = "correct joint targets for the calibrated arm"
@@ -42,60 +45,43 @@ def run(options: argparse.Namespace) -> int:
     from casacal.compensation.compensate import compensate
     from casacal.compensation.programs import notes, rounding_of, text_of
     from casacal.compensation.targets import Outcome, read_targets
-    from casacal.errors import CasacalError
     from casacal.files import write_text
 
     if not 0 < options.largest < math.inf:
-        fix = "Give degrees above zero, such as 10"
-        raise CasacalError(f"--largest {options.largest:g} is not a joint motion", fix)
+        raise CasacalError(
+            f"--largest {options.largest:g} is not a joint motion", "Give degrees above zero, such as 10"
+        )
     result = read_arm(options, options.targets)
     rounding = rounding_of(options.format, result.source.problem.robot)
     targets = read_targets(options.targets, result.source)
+    largest = math.radians(options.largest)
     compensation = compensate(
-        result,
-        targets,
-        frame=options.frame,
-        largest=math.radians(options.largest),
-        rounding=rounding,
-        force=options.force,
+        result, targets, frame=options.frame, largest=largest, rounding=rounding, force=options.force
     )
     write_text(options.out, text_of(compensation, options.format, result))
-    missed = [i for i, outcome in enumerate(compensation.outcomes) if outcome is not Outcome.REACHED]
-    lost = [_lost(compensation, i, result.source.problem.robot) for i in missed]
-    said = [f"{note[0].upper()}{note[1:]}" for note in notes(compensation, result)]
-    if options.json:
-        counts = {"targets": len(targets), "missed": lost, "verdict": result.verdict}
-        say_json({**counts, "notes": said, "written": [options.out]})
-        return FAILED if missed else DONE
-    said += [
-        f"Not reached: line {one['line']}, {one['outcome']}: {one['meaning']}{compensation.left(i)}"
-        for i, one in zip(missed[:SHOWN], lost, strict=False)
-    ]
-    if len(missed) > SHOWN:
-        said.append(f"... and {len(missed) - SHOWN} more; the file's column status names them all")
-    say_paragraphs(*(*said, f"Written: {options.out}"))
-    return FAILED if missed else DONE
+    said, lost, left = [capital(note) for note in notes(compensation, result)], list[dict[str, Any]](), list[str]()
+    for i, outcome in enumerate(compensation.outcomes):
+        if outcome is not Outcome.REACHED:
+            meaning, line = outcome.meaning, compensation.targets.lines[i]
+            if outcome is Outcome.OUTSIDE:
+                meaning += f" ({', '.join(_outside(compensation.start[i], result.source.problem.robot))})"
+            miss = {"residual_mm": float(compensation.residual_mm[i])}
+            miss["residual_mrad"] = 1e3 * float(compensation.residual_rad[i])
+            lost.append({"line": line, "outcome": outcome.value, "meaning": meaning, **miss})
+            left.append(f"Not reached: line {line}, {outcome.value}: {meaning}{compensation.left(i)}")
+    if len(left) > SHOWN:
+        left[SHOWN:] = [f"... and {len(left) - SHOWN} more; the file's column status names them all"]
+    found = {"targets": len(targets), "missed": lost, "verdict": result.verdict, "notes": said}
+    answer(options, {**found, "written": [options.out]}, *said, *left, f"Written: {options.out}")
+    return FAILED if lost else DONE
 
 
-def _lost(compensation: Compensation, i: int, robot: Robot) -> dict[str, Any]:
-    """A target that is not reached."""
+def _outside(joints: Array, robot: Robot) -> Iterator[str]:
+    """Words for each joint value (n,; rad, mm) that is outside its limits."""
     from casacal.compensation.compensate import ROUNDED
-    from casacal.compensation.targets import Outcome
 
-    outcome, which = compensation.outcomes[i], ""
-    if outcome is Outcome.OUTSIDE:
-        ends = zip(compensation.start[i].tolist(), *(limit.tolist() for limit in robot.limits), robot.axes, strict=True)
-        shown = [
-            f"q{k} is {q * unit:g} {name}, its limits {low * unit:g} to {high * unit:g}"
-            for k, (q, low, high, axis) in enumerate(ends, 1)
-            for unit, name in [(math.degrees(1), "degrees") if axis.turns else (1.0, "mm")]
-            if not low - ROUNDED <= q <= high + ROUNDED
-        ]
-        which = f" ({', '.join(shown)})"
-    return {
-        "line": compensation.targets.lines[i],
-        "outcome": outcome.value,
-        "meaning": f"{outcome.meaning}{which}",
-        "residual_mm": float(compensation.residual_mm[i]),
-        "residual_mrad": 1e3 * float(compensation.residual_rad[i]),
-    }
+    ends = zip(joints.tolist(), *(limit.tolist() for limit in robot.limits), robot.axes, strict=True)
+    for k, (q, low, high, axis) in enumerate(ends, 1):
+        if not low - ROUNDED <= q <= high + ROUNDED:
+            unit, name = (math.degrees(1), "degrees") if axis.turns else (1.0, "mm")
+            yield f"q{k} is {q * unit:g} {name}, its limits {low * unit:g} to {high * unit:g}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
 
 from casacal.cli.common import DONE, add
 from casacal.cli.terminal import say
@@ -11,7 +10,7 @@ from casacal.errors import CasacalError
 
 HELP = "print a shell completion script"
 PLACES = ("FILE", "DIR", "PROBLEM", "SAMPLES", "RESULT", "JOINTS", "TARGETS", "POSES", "STUDY")
-"""What the arguments are called that name files or folders."""
+"""Arguments that name files or folders."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,17 +31,8 @@ def run(options: argparse.Namespace) -> int:
         fix = "Install it with pip install shtab"
         raise CasacalError("Completion scripts are written by shtab, which is not installed", fix) from None
     parser = options.whole()
-    for action in _actions(parser):
+    for action in (action for command in parser.commands.values() for action in command._actions):
         if action.metavar in PLACES:
-            action.complete = shtab.FILE  # type: ignore[attr-defined]
+            action.complete = shtab.FILE
     say(shtab.complete(parser, options.shell).rstrip())
     return DONE
-
-
-def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
-    """All arguments of a parser and of those below it."""
-    for action in parser._actions:
-        yield action
-        if isinstance(action, argparse._SubParsersAction):
-            for below in action.choices.values():
-                yield from _actions(below)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import suppress
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from casacal.cli.common import DONE, FAILED, JSON, PROBLEM, add
 from casacal.cli.terminal import say, say_json
@@ -13,9 +14,6 @@ from casacal.errors import CasacalError
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-
-    from casacal.doctor.diagnosis import Diagnosis
-
 
 HELP = "find a controller's conventions from poses on its pendant"
 
@@ -48,37 +46,35 @@ def run(options: argparse.Namespace) -> int:
     rows = read_pendant_rows(options.poses, robot.revolute.tolist())
     base, tool = _pose("--base", options.base), _pose("--tool", options.tool)
     found = diagnose(robot, rows, base=base, tool=tool, tolerance=options.tolerance)
-    if options.json:
-        say_json(_document(found))
-    else:
+    if not options.json:
         say(diagnosis_text(found, robot.axes).rstrip("\n"))
+        return DONE if found.certain else FAILED
+    meanings = [
+        {
+            "conventions": [asdict(each) for each in meaning.conventions],
+            "joint_unit": meaning.joint_unit,
+            "length_unit": meaning.length_unit,
+            "rotations": [{"name": n, "unit": u, "miss_rad": miss} for (n, u), miss in meaning.rotations.items()],
+            "miss_mm": meaning.miss_mm,
+        }
+        for meaning in found.meanings
+    ]
+    say_json(
+        {
+            "certain": found.certain,
+            "more": found.more,
+            "rows": len(found.rows),
+            "postures": found.postures,
+            "tolerance_mm": found.tolerance,
+            "meanings": meanings,
+            "further": None if found.further is None else asdict(found.further),
+            "nearest": None if found.nearest is None else asdict(found.nearest),
+            "odd_lines": found.odd_lines,
+            "convention": found.convention,
+            "slips": [asdict(slip) for slip in found.slips],
+        }
+    )
     return DONE if found.certain else FAILED
-
-
-def _document(found: Diagnosis) -> dict[str, Any]:
-    """A diagnosis for another program; angles in rad, lengths in mm."""
-    return {
-        "certain": found.certain,
-        "more": found.more,
-        "rows": len(found.rows),
-        "postures": found.postures,
-        "tolerance_mm": found.tolerance,
-        "meanings": [
-            {
-                "conventions": [asdict(each) for each in meaning.conventions],
-                "joint_unit": meaning.joint_unit,
-                "length_unit": meaning.length_unit,
-                "rotations": [{"name": n, "unit": u, "miss_rad": miss} for (n, u), miss in meaning.rotations.items()],
-                "miss_mm": meaning.miss_mm,
-            }
-            for meaning in found.meanings
-        ],
-        "further": None if found.further is None else asdict(found.further),
-        "nearest": None if found.nearest is None else asdict(found.nearest),
-        "odd_lines": found.odd_lines,
-        "convention": found.convention,
-        "slips": [asdict(slip) for slip in found.slips],
-    }
 
 
 def _pose(option: str, text: str | None) -> NDArray[np.float64] | None:
@@ -89,10 +85,9 @@ def _pose(option: str, text: str | None) -> NDArray[np.float64] | None:
 
     if text is None:
         return None
-    try:
+    numbers = np.zeros(0)
+    with suppress(ValueError):
         numbers = np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        numbers = np.zeros(0)
     if len(numbers) not in (3, 7) or not np.isfinite(numbers).all() or (len(numbers) == 7 and not numbers[3:].any()):
         raise CasacalError(f"{option} {text} is not a pose", "Give X,Y,Z in mm, or X,Y,Z,QW,QX,QY,QZ")
     pose = np.eye(4)

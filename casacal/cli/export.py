@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from casacal.cli.common import DONE, FORCE, INSTRUMENT, JSON, RESULT, add, read_arm
-from casacal.cli.terminal import say_json, say_paragraphs
+from casacal.cli.terminal import answer
 from casacal.errors import CasacalError
 
 HELP = "write a calibrated arm as DH table, URDF, zero offsets or C"
@@ -16,10 +16,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = "Write a calibrated arm in a form that other programs read."
     add(parser, *RESULT)
     add(parser, *INSTRUMENT)
-    words = (
-        "DH table (CSV, or TOML where FILE ends in .toml), URDF, zero corrections (CSV), the kinematics file of "
-        "ur_description (YAML), C99, a casadi.Function, or the frame of a work object (--faces or --points)"
-    )
+    words = "DH table (CSV, or TOML where FILE ends in .toml), URDF, zero corrections (CSV), the kinematics file of "
+    words += "ur_description (YAML), C99, a casadi.Function, or the frame of a work object (--faces or --points)"
     add(parser, "--to", words, choices=("dh", "urdf", "zeros", "ur", "c", "casadi", "frame"), required=True)
     add(parser, "--out FILE", "file to write", required=True)
     add(parser, "--source FILE", "for urdf: a file of yours to copy with only its numbers changed")
@@ -45,17 +43,12 @@ def run(options: argparse.Namespace) -> int:
         raise CasacalError(f"--to {options.to} has no names of functions", "Leave out --prefix")
     result = read_arm(options, options.source)
     if options.to == "frame":
-        faces, points = (
-            text and tuple(part.strip() for part in text.split(",")) for text in (options.faces, options.points)
-        )
+        labels = (options.faces, options.points)
+        faces, points = (text and tuple(part.strip() for part in text.split(",")) for text in labels)
         write_text(options.out, frame_text(result, faces=faces, points=points, force=options.force))
     else:
         export(result, options.to, options.out, source=options.source, prefix=options.prefix, force=options.force)
     remarks = remark(result, form=options.to)
-    if options.json:
-        said = {"form": options.to, "verdict": result.verdict, "remarks": remarks}
-        say_json({**said, "written": [options.out]})
-        return DONE
-    say_paragraphs(f"Written: {options.out}")
-    say_paragraphs(*remarks)
+    found = {"form": options.to, "verdict": result.verdict, "remarks": remarks, "written": [options.out]}
+    answer(options, found, f"Written: {options.out}", *remarks)
     return DONE

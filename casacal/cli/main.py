@@ -42,7 +42,11 @@ def heard(run: Callable[[], int]) -> int:
         raise KeyboardInterrupt
 
     def remind(*_: Any) -> None:
-        if not (over or _tidying_up()):  # an alarm that was due as the run ended comes once it is over
+        error = sys.exception()
+        while error is not None and not isinstance(error, KeyboardInterrupt):
+            error = error.__context__
+        tidying_up = error is not None  # in a `finally`, `except` or `with` that an interrupt passes
+        if not (over or tidying_up):  # an alarm that was due as the run ended comes once it is over
             signal.raise_signal(signal.SIGINT)  # to whoever handles it now: it waits while files take their places
 
     before = signal.getsignal(signal.SIGALRM)
@@ -58,14 +62,6 @@ def heard(run: Callable[[], int]) -> int:
     if came and code != INTERRUPTED:
         raise KeyboardInterrupt
     return code
-
-
-def _tidying_up() -> bool:
-    """Whether what runs now is a `finally`, `except` or `with` that an interrupt passes."""
-    error = sys.exception()
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__context__
-    return error is not None
 
 
 COMMANDS = (
@@ -106,9 +102,8 @@ class _Parser(argparse.ArgumentParser):
         raise CasacalError(f"{command}: {message}" if command else message, f"See {self.prog} --help")
 
 
-NEGATIVE = re.compile(
-    r"-(inf$|[\d.]+([:,]|e-?\d))"
-)  # a box, range or number below zero that argparse takes for an option
+# a box, range or number below zero that argparse takes for an option
+NEGATIVE = re.compile(r"-(inf$|[\d.]+([:,]|e-?\d))")
 
 
 def build_parser(commands: Sequence[str] = COMMANDS) -> _Parser:
@@ -155,13 +150,14 @@ def _caught(typed: list[str]) -> int:
             options = parser.parse_args(typed)
         if "run" not in options:
             parser.error("a COMMAND is missing")
-        if getattr(options, "out", None) is not None and not options.out.strip():
+        out = getattr(options, "out", None)
+        if out is not None and not out.strip():
             raise CasacalError("--out is empty", "Name where the answer is to be written")
-        if getattr(options, "out", None) == "-":
+        if out == "-":
             raise CasacalError("--out - names no file", "Standard output is /dev/stdout, a file of that name ./-")
         options.typed, options.whole = shlex.join(["casacal", *typed]), build_parser
         try:
-            with words_beside(getattr(options, "out", None)):
+            with words_beside(out):
                 return heard(lambda: int(options.run(options)))
         except SystemExit as end:
             raise CasacalError("Code of the problem's own ends the program (sys.exit)", "Take that out of it") from end

@@ -8,25 +8,13 @@ import os
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from casacal.cli.common import (
-    DONE,
-    FAILED,
-    PROBLEM,
-    add,
-    add_clearance,
-    add_where,
-    clearance_of,
-    of_instrument,
-    on_table,
-    spare,
-    table_of,
-    where,
-    whole_number,
-)
+from casacal.cli import common
+from casacal.cli.common import DONE, FAILED, PROBLEM, add, whole_number
 from casacal.cli.terminal import prompt, say_paragraphs
 from casacal.errors import CasacalError
 
@@ -34,7 +22,6 @@ if TYPE_CHECKING:
     from casacal.measuring.gauges import Entry, Gauge, SerialLine
     from casacal.measuring.session import Session
     from casacal.measuring.touch import TouchFile
-    from casacal.planning.route import Route
     from casacal.problem.problem_file import ProblemFile
 
 HELP = "take touches at the machine, each judged at once"
@@ -56,9 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     words = "label of these touches where the problem tells sessions apart; default: the operator is asked"
     add(parser, "--session NAME", words)
     add(parser, "--tolerance MM", "end when the tip error is below this with 95 %% probability", kind=float)
-    add_where(parser)
+    common.add_where(parser)
     add(parser, "--best-first", "choose the touch that lowers the tip error most, not the next on the planned way")
-    add_clearance(parser)
+    common.add_clearance(parser)
     add(parser, "--serial PORT", "where a gauge is connected, such as COM3 or /dev/ttyUSB0")
     add(parser, "--gauge NAME", "digimatic, sylvac or plain; default: plain", default="plain")
     add(parser, "--pattern REGEX", "what the gauge sends, with (?P<value>...) around the number")
@@ -73,75 +60,55 @@ def run(options: argparse.Namespace) -> int:
     from casacal.measuring.gauges import SerialLine, gauge
     from casacal.problem.problem_file import load_problem
 
-    source = of_instrument(load_problem(options.problem), options.instrument)
-    spare([options.out], *(file.path for file in source.files), options.plan, options.targets, own=True)
+    source = common.of_instrument(load_problem(options.problem), options.instrument)
+    common.spare([options.out], *(file.path for file in source.files), options.plan, options.targets, own=True)
     meter = gauge(options.gauge, pattern=options.pattern, unit=options.unit, asks=options.ask)
-    session, file = _begun(source if options.table is None else on_table(source, options), options)
-    line = None
-    if options.serial is not None:
-        line = SerialLine(options.serial, baud=options.baud, **_frame(options.frame))
-    try:
-        session = _held(session, file, meter, line)
-    finally:
-        if line is not None:
-            line.close()
+    session, file = _begun(source if options.table is None else common.on_table(source, options), options)
+    if options.serial is None:
+        session = _held(session, file, meter, None)
+    else:
+        with closing(SerialLine(options.serial, baud=options.baud, **_frame(options.frame))) as line:
+            session = _held(session, file, meter, line)
     return DONE if session.alarm is None and (session.tolerance is None or session.done) else FAILED
 
 
 def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, TouchFile]:
-    """The session as it begins or goes on, and its file."""
     from casacal.measuring.session import Session
     from casacal.measuring.touch import TouchFile
     from casacal.planning.route import read_route, refuse_plan_of_another
+    from casacal.tables.columns import Labels
 
     layout = source.problem.layout()
-    route = _labelled(read_route(options.plan, layout), source, options.session)
+    route = read_route(options.plan, layout)
+    labels = dict(route.samples.labels)
+    for column in layout.labels:  # those of today, such as the session's, which no plan knows
+        if column != source.problem.instrument.groups:
+            said = options.session
+            if said is None:
+                prompt(f"{column} (Enter: {labels[column][0]}): ")
+                said = sys.stdin.readline().strip()
+            if said:
+                labels[column] = Labels.alike(said, len(route))
+    route = replace(route, samples=replace(route.samples, labels=labels))
+    box, targets = common.where(options, source)
+    clearance = common.clearance_of(options)
     session = Session(
-        source.problem,
-        route,
-        options.tolerance,
-        *where(options, source),
-        source.cell,
-        clearance_of(options),
-        options.best_first,
+        source.problem, route, options.tolerance, box, targets, source.cell, clearance, options.best_first
     )
     content = hashlib.sha256(Path(options.plan).read_bytes()).hexdigest()[:12]
     file = TouchFile(Path(options.out), layout, f"measured by casacal: {source.name}, plan {content}")
     file.refuse_others()
-    refuse_plan_of_another(options.plan, source.name, table_of(source, options))
-    if file.begun():
-        touches, cut = file.read()
-        if cut:
-            say_paragraphs("The last line of the file was cut off; make that touch again")
-        if touches:
-            session = session.resumed(touches)
-            say_paragraphs(f"Going on after {len(touches)} touches of {Path(options.out).as_posix()}")
+    refuse_plan_of_another(options.plan, source.name, common.table_of(source, options))
+    touches, cut = file.read()
+    if cut:
+        say_paragraphs("The last line of the file was cut off; make that touch again")
+    if touches:
+        session = session.resumed(touches)
+        say_paragraphs(f"Going on after {len(touches)} touches of {Path(options.out).as_posix()}")
     return session, file
 
 
-def _labelled(route: Route, source: ProblemFile, session: str | None) -> Route:
-    """The plan's touches under the labels of today, such as the session's; the operator is asked for what is not said.
-
-    No plan knows these. An empty answer leaves what it says.
-    """
-    from casacal.tables.columns import Labels
-
-    samples = route.samples
-    for column in source.problem.layout().labels:
-        if column == source.problem.instrument.groups:
-            continue
-        said = session
-        if said is None:
-            prompt(f"{column} (Enter: {samples.labels[column][0]}): ")
-            said = sys.stdin.readline().strip()
-        if said:
-            labels = {**samples.labels, column: Labels.alike(said, len(samples))}
-            samples = replace(samples, labels=labels)
-    return replace(route, samples=samples)
-
-
 def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | None) -> Session:
-    """The session after its operator ended it, or it was at its end."""
     from casacal.measuring.conversation import answered, doubt, ended, posture, repeats_last, waiting
 
     say_paragraphs(*doubt(session), "h: help; q: end")
@@ -173,8 +140,8 @@ def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | No
             continue
         answer = answered(session, proposed, entry.text, meter, sent=entry.source == "sent")
         if answer.change != "none" and file.sizes() != sizes:
-            fix = "End the other session, and go on with this command"
-            raise CasacalError(f"another program changed '{file.path}'", fix)
+            what = f"another program changed '{file.path}'"
+            raise CasacalError(what, "End the other session, and go on with this command")
         if answer.change == "added":
             file.append(answer.session.touches[-1], len(answer.session))
         elif answer.change == "changed":
@@ -195,21 +162,16 @@ def _further(session: Session) -> bool:
     if beyond % EVERY:
         return True
     needed = session.needed()
+    said = f"The plan is finished; about {needed} more touches to reach {session.tolerance:g} mm"
     if needed is None:
-        say_paragraphs(
-            f"The plan is finished, and {MOST} more touches would not bring the tip error below "
-            f"{session.tolerance:g} mm. It takes another face, a step of known height or a better instrument"
-        )
-        return False
-    say_paragraphs(f"The plan is finished; about {needed} more touches to reach {session.tolerance:g} mm")
-    return True
+        said = f"The plan is finished, and {MOST} more touches would not bring the tip error below "
+        said += f"{session.tolerance:g} mm. It takes another face, a step of known height or a better instrument"
+    say_paragraphs(said)
+    return needed is not None
 
 
 def _entries(line: SerialLine | None, meter: Gauge, *, reads: bool) -> Iterator[Entry]:
-    """What is typed and what the gauge sends, each after a prompt of its own; ends with the keyboard's lines.
-
-    reads: whether Enter alone asks the gauge; else it is a touch.
-    """
+    """Entries of keyboard and gauge, each after its own prompt; `reads`: Enter alone asks the gauge for a reading."""
     from casacal.measuring.gauges import Entry, Inbox
 
     if line is None:
@@ -230,29 +192,25 @@ def _entries(line: SerialLine | None, meter: Gauge, *, reads: bool) -> Iterator[
 
     for source in (of_keyboard, lambda: line.listen(inbox)):
         threading.Thread(target=source, daemon=True).start()
-    while True:
-        inbox.prompted()  # before the prompt is seen: what answers it counts however soon it comes
+    inbox.prompted()  # before the prompt is seen: what answers it counts however soon it comes
+    prompt("> ")
+    while (entry := inbox.next()) is not None:
+        if reads and entry.source == "typed" and not entry.text.strip():
+            inbox.take_next()
+            if meter.asks:
+                line.ask(meter.asks, inbox)
+            continue
+        if entry.source != "typed":
+            say_paragraphs(entry.text)
+        if entry.source != "note":
+            yield entry
+            inbox.prompted()
         prompt("> ")
-        while (entry := inbox.next()) is not None:
-            if reads and entry.source == "typed" and not entry.text.strip():
-                inbox.take_next()
-                if meter.asks:
-                    line.ask(meter.asks, inbox)
-                continue
-            if entry.source != "note":
-                break
-            say_paragraphs(entry.text)
-            prompt("> ")
-        if entry is None:
-            return
-        if entry.source == "sent":
-            say_paragraphs(entry.text)
-        yield entry
 
 
 def _frame(text: str) -> dict[str, Any]:
-    """Bits, parity and stop bits as people write them."""
     if len(text) != 3 or text[0] not in "78" or text[1].upper() not in "NEO" or text[2] not in "12":
-        fix = "Write bits (7, 8), parity (N, E, O), stop bits (1, 2)"
-        raise CasacalError(f"--frame {text} is not such as 8N1", fix)
+        raise CasacalError(
+            f"--frame {text} is not such as 8N1", "Write bits (7, 8), parity (N, E, O), stop bits (1, 2)"
+        )
     return {"bits": int(text[0]), "parity": text[1].upper(), "stops": int(text[2])}

@@ -51,15 +51,12 @@ def run(options: argparse.Namespace) -> int:
             axes = ", ".join(f"{row} and {row + 1}" for row in table.parallel)
             say_paragraphs(f"Parallel axes: {axes}; there Hayati's angle beta is calibrated in place of d")
     else:
-        folder, arm = new_from_urdf(
-            options.name, options.urdf, options.out, tip=options.tip, base=options.base, given=given
-        )
+        tip, base = options.tip, options.base
+        folder, arm = new_from_urdf(options.name, options.urdf, options.out, tip=tip, base=base, given=given)
         say_paragraphs(f"{arm.name}: {len(arm.moving)} joints from '{arm.chain[0].parent}' to '{arm.chain[-1].child}'")
     place = folder.as_posix()
-    say_paragraphs(f"Written: {place}")
+    say_paragraphs(f"Written: {place}", *(f"To fill in: {words}" for words in given.missing))
     following = f"casacal simulate {place} --out out/{options.name}_samples.csv"
-    for words in given.missing:
-        say_paragraphs(f"To fill in: {words}")
     say_paragraphs(f"Next: {f'fill these in {place}/problem.py, then ' if given.missing else ''}{following}")
     return DONE
 
@@ -69,7 +66,6 @@ def _triple(text: str) -> tuple[float, float, float]:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
         raise CasacalError(f"--tool {text} is not X,Y,Z", "Give three numbers of mm, such as 0,0,120") from None
-    if 0 < math.hypot(x, y, z) < SHORTEST:
-        far = f"{math.hypot(x, y, z):g} mm"
-        raise CasacalError(f"--tool {text} is a tool of {far}", "Give it in mm: 0.12 m are 120")
+    if 0 < (far := math.hypot(x, y, z)) < SHORTEST:
+        raise CasacalError(f"--tool {text} is a tool of {far:g} mm", "Give it in mm: 0.12 m are 120")
     return x, y, z

@@ -9,28 +9,14 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import (
-    DONE,
-    JSON,
-    PROBLEM,
-    add,
-    add_clearance,
-    add_where,
-    clearance_of,
-    of_instrument,
-    on_table,
-    spare,
-    stds_of,
-    where,
-    whole_number,
-)
+from casacal.cli import common
+from casacal.cli.common import DONE, JSON, PROBLEM, add, whole_number
 from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
     from casacal.planning.candidates import Clearance
     from casacal.planning.plan import Plan
-    from casacal.planning.set_ups import SetUp
     from casacal.problem.problem_file import ProblemFile
 
 HELP = "plan which touches to make"
@@ -45,14 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, *PROBLEM)
     add(parser, "--instrument NAME", "for which one, where a problem has several instruments")
     add(parser, "--out FILE", "plan to write, such as plan.csv", required=True)
-    add(
-        parser,
-        "--touches N",
-        "number of touches in all; default: until more would only average noise, and more than calibrate needs",
-        kind=whole_number,
-    )
+    words = "number of touches in all; default: until more would only average noise, and more than calibrate needs"
+    add(parser, "--touches N", words, kind=whole_number)
     add(parser, "--tolerance MM", "instead of --touches: as many as this expected tip error takes", kind=float)
-    add_where(parser)
+    common.add_where(parser)
     words = "tip: least mean tip error (default); parameters: least volume of their uncertainty (D-optimal)"
     add(parser, "--criterion NAME", words, default="tip")
     add(parser, "--after FILE", "samples that were taken already; the plan adds to them")
@@ -61,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--pool N", "number of candidates; default: 3000", kind=whole_number, default=3000)
     add(parser, "--check F", "part kept to verify; default: 0.15", kind=float, default=0.15)
     add(parser, "--again F", "part repeated at the end; default: 0.05", kind=float, default=0.05)
-    add_clearance(parser)
+    common.add_clearance(parser)
     add(parser, "--setups", "also compare other set-ups of the cell")
     add(parser, "--sheet FILE", "write a sheet to print and fill in, such as sheet.html")
     add(parser, "--program LANGUAGE ...", "also write a robot program: rapid, krl or urscript; may be repeated")
@@ -73,79 +55,55 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Plan as the options say; returns 0."""
     from casacal.planning.plan import cell_words, document, told
-    from casacal.planning.route import FIT
-    from casacal.planning.set_ups import POOL, set_ups
+    from casacal.planning.route import FIT, touches_needed
+    from casacal.planning.set_ups import POOL, SetUp, set_ups
     from casacal.problem.problem_file import load_problem
 
     if options.touches is not None and options.tolerance is not None:
         raise CasacalError("Got --touches and --tolerance", "Give one of them")
     if not 0 < options.retreat < 1000:
         raise CasacalError(f"--retreat is {options.retreat:g}", "Give a number of mm from 1 to 999")
-    source = of_instrument(load_problem(options.problem), options.instrument)
+    source = common.of_instrument(load_problem(options.problem), options.instrument)
     outs = [options.out, *([] if options.sheet is None else [options.sheet])]
-    spare(outs, *(file.path for file in source.files), source.samples, options.targets, options.after)
+    common.spare(outs, *(file.path for file in source.files), source.samples, options.targets, options.after)
     warned = _wrong_with(source, options)
-    source = on_table(source, options)
-    clearance = clearance_of(options)
+    source, clearance = common.on_table(source, options), common.clearance_of(options)
     found = _planned(source, options, clearance)
     written = _written(source, options, found, clearance)
-    compared: tuple[SetUp, ...] = ()
-    fitted = found.purposes.count(FIT)
-    if options.setups or (source.problem.instrument.probe is not None and options.after is None and fitted <= POOL):
-        box, targets = where(options, source)
+    compared, fitted, later = tuple[SetUp, ...](), found.purposes.count(FIT), options.after is not None
+    if options.setups or (source.problem.instrument.probe is not None and not later and fitted <= POOL):
+        box, targets = common.where(options, source)
         compared = set_ups(source.problem, source.cell, touches=fitted, box=box, targets=targets, seed=options.seed)
-    warned = [*_too_few(source, found, fitted, options), *warned]
+    if fitted < (least := touches_needed(source.problem, found.samples)) and not later:
+        what = (
+            f"{fitted} touches are fitted, but casacal calibrate needs at least {least} for all unknowns. Ask for more"
+        )
+        warned = [f"{what}, keep fewer to verify, or hold parameters", *warned]
     if options.json:
         say_json({**document(found, source.problem, compared, written, clearance), "warnings": warned})
         return DONE
     there = "inside the box" if options.box else "over the workspace" if options.targets is None else "at the targets"
-    said = told(
-        found,
-        compared,
-        where=there,
-        pool=options.pool,
-        after=options.after is not None,
-        every=options.setups,
-        kept_clear=clearance is not None,
-    )
+    every, kept = options.setups, clearance is not None
+    said = told(found, compared, where=there, pool=options.pool, after=later, every=every, kept_clear=kept)
     say_paragraphs(*cell_words(found, source.problem, clearance), *said)
     say_paragraphs(*(f"warning: {each}" for each in warned), *(f"Written: {place}" for place in written))
-    given = {"--instrument": options.instrument, "--table": options.table, "--link-radius": options.link_radius}
-    named = [
-        f"{name}={value if isinstance(value, str) else f'{value:g}'}"
-        for name, value in given.items()
-        if value is not None
-    ]
+    named = [] if options.instrument is None else [f"--instrument={options.instrument}"]
+    numbers = {"--table": options.table, "--link-radius": options.link_radius}
+    named += [f"{name}={value:g}" for name, value in numbers.items() if value is not None]
     named += [f"--keep-out={box}" for box in options.keep_out]
     command = shlex.join(["casacal", "measure", options.problem, *named, "--plan", options.out, "--out"])
     say_paragraphs(f"Next: {command} SAMPLES")
     return DONE
 
 
-def _too_few(source: ProblemFile, found: Plan, fitted: int, options: argparse.Namespace) -> list[str]:
-    """A warning where a calibration of these touches alone would be refused."""
-    from casacal.planning.route import touches_needed
-
-    least = touches_needed(source.problem, found.samples)
-    if fitted >= least or options.after is not None:
-        return []
-    return [
-        f"{fitted} touches are fitted, but casacal calibrate needs at least {least} for all unknowns. Ask for more, "
-        "keep fewer to verify, or hold parameters"
-    ]
-
-
 def _wrong_with(source: ProblemFile, options: argparse.Namespace) -> list[str]:
-    """A warning of single rows that look wrong among the samples that were measured before.
-
-    Raises CasacalError where more of them does: then they do not tell the arm, and no figure that rests on it is true.
-    """
+    """A warning of single rows of --after that look wrong; raises CasacalError where more than single rows do."""
     from casacal.checks.check import check
 
-    after = options.after
-    found = [] if after is None else check(source.problem, source.problem.read(after))
-    wrong = [finding for finding in found if finding.severity == "error"]
-    if not wrong:
+    if (after := options.after) is None:
+        return []
+    found = check(source.problem, source.problem.read(after))
+    if not (wrong := [finding for finding in found if finding.severity == "error"]):
         return []
     what = f"{after} looks wrong ({', '.join(finding.about for finding in wrong)})"
     fix = f"Run casacal check {shlex.join([options.problem, after])} and mend the samples first"
@@ -157,14 +115,16 @@ def _wrong_with(source: ProblemFile, options: argparse.Namespace) -> list[str]:
 def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Clearance | None) -> Plan:
     from casacal.planning.plan import plan, touches_for
 
-    box, targets = where(options, source)
+    box, targets = common.where(options, source)
     after = None if options.after is None else source.problem.read(options.after)
-    touches = options.touches
-    loose = stds_of("--loose", options.loose)
+    touches, tolerance = options.touches, options.tolerance
+    loose = common.stds_of("--loose", options.loose, "theta4=0.01")
+    for name, std in loose.items():
+        if not 0 < std < math.inf:
+            raise CasacalError(f"--loose {name}={std:g} is no standard deviation", "Give a positive number")
     if loose and after is None:
         raise CasacalError("Got --loose without --after", "Name the samples from which the arm was calibrated")
     if touches is None:
-        tolerance = options.tolerance
         fitted = touches_for(source.problem, source.cell, tolerance, box=box, targets=targets, after=after, loose=loose)
         touches = min(max(round(fitted / max(1 - options.check - options.again, 0.1)), 3), options.pool)
     return plan(
@@ -199,13 +159,12 @@ def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clea
         for language in dict.fromkeys(options.program):
             text = program_text(problem, found, ways, language, name)
             texts[Path(options.out).with_suffix(PROGRAMS[language].ending)] = text
-        held = [math.isnan(retreat) for retreat in ways.retreat.tolist()]
-        blocked = [str(k + 1) for k in range(len(found)) if not ways.clear[k] and not held[k]]
-        if any(held) and not options.json:
-            lost = ", ".join(str(k + 1) for k in range(len(found)) if held[k])
+        held = [str(k + 1) for k, retreat in enumerate(ways.retreat.tolist()) if math.isnan(retreat)]
+        blocked = [str(k) for k, clear in enumerate(ways.clear.tolist(), 1) if not clear and str(k) not in held]
+        if held and not options.json:
             say_paragraphs(
-                f"warning: from touch {lost} the arm cannot draw back by {options.retreat:g} mm inside its joint "
-                "limits; the program leaves it out. A smaller --retreat may do"
+                f"warning: from touch {', '.join(held)} the arm cannot draw back by {options.retreat:g} mm inside its "
+                "joint limits; the program leaves it out. A smaller --retreat may do"
             )
         if blocked and not options.json:
             say_paragraphs(
@@ -217,14 +176,11 @@ def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clea
     if any(path.exists() and not path.is_file() for path in texts):  # a pipe takes no place beside others
         for path, text in texts.items():
             write_text(path, text)
-    else:
-        groups = dict[Path, list[Path]]()
-        for path in texts:
-            groups.setdefault(path.parent.resolve(), []).append(path)
-        with ExitStack() as sets:  # the folder of the plan is entered first, so that its files are placed last
-            for folder, some in groups.items():
-                names = [path.name for path in reversed(some)]
-                place = sets.enter_context(together(folder, names, asked=some[0]))
-                for path in some:
-                    write_text(place / path.name, texts[path])
+        return [path.as_posix() for path in texts]
+    with ExitStack() as sets:  # the folder of the plan is entered first, so that its files are placed last
+        for folder in dict.fromkeys(path.parent.resolve() for path in texts):
+            some = [path for path in texts if path.parent.resolve() == folder]
+            place = sets.enter_context(together(folder, [path.name for path in reversed(some)], asked=some[0]))
+            for path in some:
+                write_text(place / path.name, texts[path])
     return [path.as_posix() for path in texts]

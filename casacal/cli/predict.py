@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 
 from casacal.cli.common import DONE, FAILED, FORCE, INSTRUMENT, JSON, RESULT, add, add_frame, read_arm
-from casacal.cli.terminal import complain, say_json, say_paragraphs
+from casacal.cli.terminal import answer, complain
 from casacal.errors import RefusedResultError
-from casacal.wording import listed
+from casacal.wording import counted, listed
 
 HELP = "predict poses of the calibrated arm"
 
@@ -33,44 +33,38 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Predict as the options say; returns 0, or 1 where the result must not be used."""
-    from casacal.compensation.predict import predict, read_joints, write_prediction
+    from casacal.compensation.predict import joints_from, predict, write_prediction
     from casacal.compensation.told import told_notes
 
     result = read_arm(options, options.joints)
-    joints = read_joints(options.joints, result.source)
+    joints = joints_from(options.joints, result.source)
+    nominal = options.nominal
     try:
-        prediction = predict(
-            result, joints, frame=options.frame, nominal=options.nominal, std=options.std, force=options.force
-        )
+        prediction = predict(result, joints, frame=options.frame, nominal=nominal, std=options.std, force=options.force)
     except RefusedResultError as refused:
         complain(str(refused))
         return FAILED
-    count = len(prediction.positions)
-    remarks = ["Of the arm as drawn, not as calibrated."]
-    if not options.nominal:
-        care = [] if result.caution is None else [result.caution]
-        remarks = [*care, *told_notes(result, prediction.missing, prediction.beyond)]
-    write_prediction(options.out, prediction, remarks)
-    if options.json:
-        said = {
-            "unseen": list(prediction.unseen),
-            "missing": {words: list(names) for words, names in prediction.missing.items()},
-            "beyond": list(prediction.beyond),
-            "poses": count,
-            "frame": options.frame,
-            "nominal": options.nominal,
-            "verdict": result.verdict,
-        }
-        say_json({**said, "written": [options.out]})
-    else:
-        say_paragraphs(f"Written: {options.out} ({count} {'pose' if count == 1 else 'poses'} of the {options.frame})")
-        if not options.nominal:
-            say_paragraphs(*told_notes(result, prediction.missing, prediction.beyond))
-        if prediction.unseen:
-            say_paragraphs(
-                f"warning: the calibration saw no session {listed(prediction.unseen)}, so where the dial's zero then "
-                "stood is known by its prior alone (--std shows it)"
-            )
-        if (words := result.denial or result.caution) is not None and not options.nominal:
-            say_paragraphs(words)
+    told = [] if nominal else told_notes(result, prediction.missing, prediction.beyond)
+    care = [] if result.caution is None else [result.caution]
+    write_prediction(
+        options.out, prediction, ["Of the arm as drawn, not as calibrated."] if nominal else [*care, *told]
+    )
+    if prediction.unseen:
+        told.append(
+            f"warning: the calibration saw no session {listed(prediction.unseen)}, so where the dial's zero then "
+            "stood is known by its prior alone (--std shows it)"
+        )
+    if (words := result.denial or result.caution) is not None and not nominal:
+        told.append(words)
+    found = {
+        "unseen": list(prediction.unseen),
+        "missing": {words: list(names) for words, names in prediction.missing.items()},
+        "beyond": list(prediction.beyond),
+        "poses": len(prediction),
+        "frame": options.frame,
+        "nominal": nominal,
+        "verdict": result.verdict,
+        "written": [options.out],
+    }
+    answer(options, found, f"Written: {options.out} ({counted(len(prediction), 'pose')} of the {options.frame})", *told)
     return DONE

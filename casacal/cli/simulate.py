@@ -50,15 +50,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, *PROBLEM)
     add(parser, "--out FILE", "samples to write, such as x.csv; the truth goes to x.truth.json", required=True)
     add(parser, "--samples N ...", "number of touches; default: 120; with several instruments dial=120, once for each")
-    words = (
-        "measure in the postures of what casacal plan wrote; touches kept to verify go to x_check.csv, as with measure"
-    )
-    add(parser, "--plan FILE", words)
+    of_plan = "measure in the postures of what casacal plan wrote; touches kept to verify go to x_check.csv"
+    add(parser, "--plan FILE", f"{of_plan}, as with measure")
     add(parser, "--seed K", "seed of arm, touches and noise; default: 0", kind=whole_number, default=0)
-    words = (
-        "occasion on which the arm of that seed is measured: other noise, and without --plan other postures; default: 0"
-    )
-    add(parser, "--session K", words, kind=whole_number, default=0)
+    words = "occasion on which the arm of that seed is measured: other noise, and without --plan other postures"
+    add(parser, "--session K", f"{words}; default: 0", kind=whole_number, default=0)
     add(parser, "--travel MM", "range of the dial, such as 10 or -5:5", kind=number_or_range)
     for name, (unit, words) in NUMBERS.items():
         add(parser, f"--{name} {unit}", words, kind=float)
@@ -83,8 +79,8 @@ def run(options: argparse.Namespace) -> int:
 
     out = Path(options.out)
     if out.suffix.lower() not in (".csv", ".txt", ""):
-        fix = f"Name it {out.with_suffix('.csv').name}"
-        raise CasacalError(f"simulate writes CSV, but '{out}' does not end in .csv", fix)
+        what = f"simulate writes CSV, but '{out}' does not end in .csv"
+        raise CasacalError(what, f"Name it {out.with_suffix('.csv').name}")
     source = load_problem(options.problem)
     route, cell = _route(source, options), _cell(source, options)
     checks = out.with_name(f"{out.stem}_check{out.suffix}")
@@ -97,21 +93,20 @@ def run(options: argparse.Namespace) -> int:
     before, after = planned_accuracy(bind(source.problem.without_terms, simulation.measured))
     paths = write_simulation(simulation, source, out, None if kept is None else (checks, kept))
     written = [path.as_posix() for path in paths]
+    faces = [face.label for face in cell.faces] if isinstance(cell, Cell) else []
     if options.json:
-        faces = [face.label for face in cell.faces] if isinstance(cell, Cell) else []
         tip = {"before_rms_mm": before, "after_rms_mm": after}
         found = {"samples": len(simulation.measured), "faces": faces, "tip": tip, "written": written}
         if route is not None:
             found |= {"kept": 0 if kept is None else len(kept), "left_out": lost, "warnings": warned}
         say_json(found)
         return DONE
-    names, sets = source.problem.names, simulation.measured.sets
-    of = [f" of the {name}" if len(names) > 1 else "" for name in names]
-    counted = ", ".join(f"{len(some)} samples{name}" for name, some in zip(of, sets, strict=True))
+    sets = list(zip(source.problem.names, simulation.measured.sets, strict=True))
+    counted = ", ".join(f"{len(some)} samples{f' of the {name}' if len(sets) > 1 else ''}" for name, some in sets)
     counted += "" if kept is None else f", and {len(kept)} kept to verify,"
-    where = "in random postures" if options.plan is None else f"in the postures of {options.plan}"
+    where = f"in the postures of {options.plan}" if options.plan else "in random postures"
     if options.plan is None and isinstance(cell, Cell):
-        where = f"on {', '.join(face.label for face in cell.faces)} at tilts up to {math.degrees(cell.tilt):g} deg"
+        where = f"on {', '.join(faces)} at tilts up to {math.degrees(cell.tilt):g} deg"
     say_paragraphs(f"Simulated, not measured: {counted} {where}")
     say_paragraphs(*(f"warning: {each}" for each in warned), *remarks)
     say_paragraphs(
@@ -150,10 +145,7 @@ MOVED = 10.0  # degrees, or tens of mm, beyond which a posture is another one th
 
 
 def _compared(route: Route | None, simulation: Simulation, robot: Robot) -> tuple[list[int], list[str], list[str]]:
-    """Numbers of the touches of a plan that the true arm could not make; warnings and remarks on these and others.
-
-    Others were moved until they touched.
-    """
+    """Numbers of planned touches that the true arm cannot make, warnings, and remarks on postures that were moved."""
     import numpy as np
 
     from casacal.wording import counted, shortened
@@ -162,49 +154,46 @@ def _compared(route: Route | None, simulation: Simulation, robot: Robot) -> tupl
         return [], [], []
     made, warned, remarks = simulation.samples, list[str](), list[str]()
     if lost := sorted(set(range(1, len(route) + 1)) - set(made.lines)):
-        numbers = shortened([str(number) for number in lost])
         warned.append(
             f"{counted(len(lost), 'touch')} of the plan cannot be made by the true arm within the range of "
-            f"joints and readings: {numbers}. Left out"
+            f"joints and readings: {shortened(lost)}. Left out"
         )
     apart = np.abs(made.joints - route.samples.joints[np.array(made.lines) - 1])
     apart = (np.where(robot.revolute, np.degrees(apart), apart / 10)).max(axis=1)
     if moved := int((apart > SEEN).sum()):
         most = f"{apart.max():.2g} degrees" + ("" if robot.revolute.all() else f", or {10 * apart.max():.2g} mm")
         text = f"{counted(moved, 'posture')} moved by up to {most}, until the tip touched"
-        text += " within the travel of the dial" if made.columns else ""
+        remarks = [text + (" within the travel of the dial" if made.columns else "")]
         if apart.max() > MOVED:
-            warned.append(f"{text}. The plan looks as if made for another arm, tool or cell")
-        else:
-            remarks.append(text)
+            warned.append(f"{remarks.pop()}. The plan looks as if made for another arm, tool or cell")
     return lost, warned, remarks
 
 
 def _parted(simulation: Simulation, route: Route | None) -> tuple[Simulation, Samples | None]:
-    """What is to be fitted, and the rows that the plan keeps to verify, if any."""
+    """The rows to fit, and those that the plan keeps to verify, if any."""
+    import numpy as np
+
     from casacal.planning.route import CHECK
     from casacal.samples.samples import Measurements
 
     if route is None:
         return simulation, None
     purposes = tuple(route.purposes[line - 1] for line in simulation.samples.lines)
-    rows = replace(simulation.samples, extra={"purpose": purposes})
-    check = [k for k, purpose in enumerate(purposes) if purpose == CHECK]
-    fit = [k for k, purpose in enumerate(purposes) if purpose != CHECK]
-    if not fit:
+    rows, kept = replace(simulation.samples, extra={"purpose": purposes}), np.array(purposes) == CHECK
+    if kept.all():
         raise CasacalError(f"The true arm can make none of the touches to fit of {rows.file}", "Plan others")
-    return replace(simulation, measured=Measurements.of(rows.take(fit))), rows.take(check) if check else None
+    fit = replace(simulation, measured=Measurements.of(rows.take(np.flatnonzero(~kept))))
+    return fit, rows.take(np.flatnonzero(kept)) if kept.any() else None
 
 
 def _beside(simulation: Simulation) -> list[str]:
-    """What is not simulated, and what the truth file does not hold."""
+    """Sentences on effects that are not simulated, and on those that the truth file does not hold."""
     from casacal.wording import listed
 
-    said = []
-    if columns := [name for effect in simulation.problem.terms for name in effect.further]:
-        said.append(
-            f"Not simulated: {listed(columns)}. To calibrate these samples, leave out the effects that need them"
-        )
+    said, columns = [], [name for effect in simulation.problem.terms for name in effect.further]
+    if columns:
+        fix = "To calibrate these samples, leave out the effects that need them"
+        said.append(f"Not simulated: {listed(columns)}. {fix}")
     if simulation.moves_beyond_geometry:
         said.append(
             "The truth file holds the geometry alone. What else moves the tip, such as gravity sag and transmission "
@@ -217,16 +206,14 @@ def _counts(source: ProblemFile, given: list[str]) -> dict[str, int]:
     """How many samples each instrument takes: N for all, or NAME=N for each."""
     names = source.problem.names
     found = dict.fromkeys(names, 120)
-    for text in sorted(given, key=lambda each: "=" in each):  # what is said of one goes before what is said of all
+    for text in sorted(given, key=lambda each: "=" in each):  # a number for one instrument overrides that for all
         name, equals, number = text.rpartition("=")
         try:
             count = int(number)
         except ValueError:
             wanted = "120" if len(names) == 1 else f"120, or {names[0]}=120"
             raise CasacalError(f"--samples {text} is not a number of samples", f"Give {wanted}") from None
-        if equals:
-            source.problem.number(name)
-        found |= {name: count} if equals else dict.fromkeys(names, count)
+        found |= dict.fromkeys([names[source.problem.number(name)]] if equals else names, count)
     return found
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,10 +40,8 @@ def add_running(parser: argparse.ArgumentParser) -> None:
     add(parser, "--scheduler ADDRESS", "a Dask scheduler, such as tcp://host:8786")
     add(parser, "--shard I/N", "run only the I-th of N parts of the trials, to be merged later")
     add(parser, "--merge DIR+", "run nothing; merge the records of shards")
-    words = (
-        "run each trial in its own process with this time limit; a method that takes longer or crashes is "
-        "recorded as a failure, and --resume with a longer time tries it again"
-    )
+    words = "run each trial in its own process with this time limit; a method that takes longer or crashes is "
+    words += "recorded as a failure, and --resume with a longer time tries it again"
     add(parser, "--timeout SECONDS", words, kind=float)
     add(parser, "--resume", "keep the records in DIR and run only the missing trials")
     add(parser, "--report", "run nothing; write the report from the records in DIR")
@@ -59,13 +58,13 @@ def run(options: argparse.Namespace) -> int:
 def run_source(source: StudyFile, options: argparse.Namespace) -> int:
     """Run a study and write its report as the options say; returns as `run` does."""
     try:
-        return _study(source, options)
+        return _reported(source, options)
     except KeyboardInterrupt:
         complain("Interrupted. The records so far are kept; --resume continues from there.")
         return INTERRUPTED
 
 
-def _study(source: StudyFile, options: argparse.Namespace) -> int:
+def _reported(source: StudyFile, options: argparse.Namespace) -> int:
     from casacal.study import Run
     from casacal.study.study_file import machine, note_machines, write_report
 
@@ -73,7 +72,7 @@ def _study(source: StudyFile, options: argparse.Namespace) -> int:
         say_paragraphs(f"Skipped: {source.skipped}")
         return DONE
     study = source.form(quick=options.quick, trials=options.trials)
-    out = Path(options.out or Path("out") / (source.name + ("-quick" if options.quick else "")))
+    out = Path(options.out or f"out/{source.name}{'-quick' if options.quick else ''}")
     if study is None:
         run = Run(None, (), out, options.quick)
         note_machines(out, [machine()])
@@ -103,8 +102,14 @@ def _made(source: StudyFile, study: Study, out: Path, options: argparse.Namespac
         if runs.missing(study, found):
             complain(f"{runs.missing(study, found)} records are missing; --resume makes them")
         return found
+    shard = 1, 1
+    if options.shard is not None:
+        part, _, parts_in_all = options.shard.partition("/")
+        shard = (int(part), int(parts_in_all)) if part.isdecimal() and parts_in_all.isdecimal() else (0, 0)
+        if not 1 <= shard[0] <= shard[1]:
+            raise CasacalError(f"--shard {options.shard} is not I/N", "Give part/parts, such as 2/3")
     made_here = machine(options.workers, cluster=options.scheduler is not None)
-    with Progress(source.name, lambda: note_machines(out, [made_here])) as progress:
+    with _progress(source.name, lambda: note_machines(out, [made_here])) as progress:
         return runs.run(
             study,
             out,
@@ -112,53 +117,34 @@ def _made(source: StudyFile, study: Study, out: Path, options: argparse.Namespac
             quick=options.quick,
             workers=options.workers,
             scheduler=options.scheduler,
-            shard=_shard(options.shard),
+            shard=shard,
             resume=options.resume,
             timeout=options.timeout,
             progress=progress,
         )
 
 
-def _shard(text: str | None) -> tuple[int, int]:
-    if text is None:
-        return 1, 1
-    part, _, parts = text.partition("/")
-    try:
-        number, count = int(part), int(parts)
-    except ValueError:
-        number = count = 0
-    if not 1 <= number <= count:
-        raise CasacalError(f"--shard {text} is not I/N", "Give part/parts, such as 2/3")
-    return number, count
-
-
-class Progress:
+@contextmanager
+def _progress(name: str, started: Callable[[], None]) -> Iterator[Callable[[int, int], None]]:
     """Records done, rate and time left on standard error; calls `started` once the run is accepted."""
+    began, shown, at_first = 0.0, 0.0, 0
 
-    def __init__(self, name: str, started: Callable[[], None]) -> None:
-        self.name, self.started = name, started
-        self.began, self.shown, self.at_first = time.monotonic(), 0.0, 0
-
-    def __enter__(self) -> Progress:
-        return self
-
-    def __call__(self, done: int, total: int) -> None:
-        """Say so now and then."""
+    def say_records(done: int, total: int) -> None:
+        nonlocal began, shown, at_first
         now, looked_at = time.monotonic(), sys.stderr.isatty()
-        if not self.shown:
-            self.began, self.shown, self.at_first = now, now, done
-            self.started()  # the run is accepted; who makes it is known even if it is killed
+        if not shown:
+            began, shown, at_first = now, now, done
+            started()  # the run is accepted; who makes it is known even if it is killed
             if done:
-                write_progress(f"{self.name}: {done} of {total} records exist\n")
-            return
-        if now - self.shown < SAID_EVERY[looked_at] and done < total:
-            return
-        self.shown = now
-        rate = (done - self.at_first) / max(now - self.began, 1e-9)
-        left = f"{(total - done) / rate:.0f} s left" if rate > 0 else ""
-        line = f"{self.name}: {done} of {total} records, {rate:.1f} per second, {left}"
-        write_progress(f"\r{line}   " if looked_at else f"{line}\n")
+                write_progress(f"{name}: {done} of {total} records exist\n")
+        elif now - shown >= SAID_EVERY[looked_at] or done >= total:
+            shown, rate = now, (done - at_first) / max(now - began, 1e-9)
+            left = f"{(total - done) / rate:.0f} s left" if rate > 0 else ""
+            line = f"{name}: {done} of {total} records, {rate:.1f} per second, {left}"
+            write_progress(f"\r{line}   " if looked_at else f"{line}\n")
 
-    def __exit__(self, *_: object) -> None:
-        if self.shown and sys.stderr.isatty():
+    try:
+        yield say_records
+    finally:
+        if shown and sys.stderr.isatty():
             write_progress("\n")

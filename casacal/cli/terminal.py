@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import ctypes
 import errno
 import os
@@ -10,24 +11,23 @@ import sys
 import textwrap
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext, redirect_stdout, suppress
-from typing import Any, Literal, TextIO
+from typing import Any, TextIO
 
 from casacal.errors import CasacalError
 
 NARROWEST, USUAL, WIDEST = 40, 100, 120
 
-Colour = Literal["green", "yellow", "red"]
-CODES: Mapping[Colour, str] = {"green": "32", "yellow": "33", "red": "31"}
-LEVELS: Mapping[str, Colour] = {
-    "calibrated": "green",
-    "remark": "green",
-    "use with care": "yellow",
-    "warning": "yellow",
-    "do not use": "red",
-    "error": "red",
-    "casacal:": "red",
+GREEN, YELLOW, RED = "32", "33", "31"
+LEVELS: Mapping[str, str] = {
+    "calibrated": GREEN,
+    "remark": GREEN,
+    "use with care": YELLOW,
+    "warning": YELLOW,
+    "do not use": RED,
+    "error": RED,
+    "casacal:": RED,
 }
-"""Words that begin what is said, and what paints them."""
+"""First words of sentences, and the colours (ECMA-48) in which they are shown."""
 
 
 def prepare() -> None:
@@ -70,16 +70,13 @@ def width() -> int:
 
 def painted(text: str, stream: TextIO) -> str:
     """Text whose first words are coloured by what they say, where the output is a terminal and colour is wanted."""
+    plain = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
+    if plain or not stream.isatty() or (os.name == "nt" and "WT_SESSION" not in os.environ):
+        return text  # older consoles of Windows show the codes themselves
     for words, colour in LEVELS.items():
-        if text.lower().startswith(words) and _shows_colour(stream):
-            return f"\x1b[1;{CODES[colour]}m{text[: len(words)]}\x1b[0m{text[len(words) :]}"
+        if text.lower().startswith(words):
+            return f"\x1b[1;{colour}m{text[: len(words)]}\x1b[0m{text[len(words) :]}"
     return text
-
-
-def _shows_colour(stream: TextIO) -> bool:
-    if not stream.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
-        return False
-    return os.name != "nt" or "WT_SESSION" in os.environ  # older consoles show the codes themselves
 
 
 def say(text: str = "") -> None:
@@ -109,6 +106,14 @@ def say_json(document: Mapping[str, Any]) -> None:
     from casacal.files import json_text
 
     _write(json_text(document, ascii_only=True), sys.stdout)
+
+
+def answer(options: argparse.Namespace, document: Mapping[str, Any], *texts: str) -> None:
+    """Print what a command found: as JSON where --json asks for it, else in paragraphs."""
+    if options.json:
+        say_json(document)
+    else:
+        say_paragraphs(*texts)
 
 
 def complain(text: str) -> None:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from casacal.cli.common import DONE, FAILED, JSON, add, add_fresh_rows, fresh_rows, made_from, names_of, spare
-from casacal.cli.terminal import say_json, say_paragraphs
+from casacal.cli.terminal import answer
 from casacal.errors import CasacalError
 
 HELP = "test a calibration on fresh rows"
@@ -41,35 +41,25 @@ def run(options: argparse.Namespace) -> int:
         raise CasacalError("Got --risk without --tolerance", "Give the tolerance as well")
     result, other, named, rows = fresh_rows(options)
     if options.report is not None:
-        files = () if other is None else (file.path for file in other.files)
+        files = [*made_from(result), *(() if other is None else (file.path for file in other.files))]
         spare([options.report], result.file, options.samples, options.readings, *files, option="--report")
-        spare([options.report], *made_from(result), option="--report")
         if not options.report.strip():
             raise CasacalError("--report is empty", "Name a file, such as verified.html")
         if Path(options.report).is_file():
             with Path(options.report).open(encoding="utf-8", errors="replace") as file:
                 if "<title>Calibration of" in file.read(LOOKED_AT):
                     raise CasacalError(f"'{options.report}' is the report of a calibration", "Name another --report")
+    standing, risk = names_of("--standing", options.standing), RISK if options.risk is None else options.risk
     found = verify(
-        result,
-        rows,
-        problem=other,
-        instrument=named,
-        standing=names_of("--standing", options.standing),
-        tolerance=options.tolerance,
-        risk=RISK if options.risk is None else options.risk,
+        result, rows, problem=other, instrument=named, standing=standing, tolerance=options.tolerance, risk=risk
     )
     if options.report is not None:
         write_text(options.report, found.page())
     if options.into_report:
         beside = Path(result.file).with_name(REPORT)
         write_text(beside, with_section(beside, result, found.section()))
-    if options.json:
-        say_json(found.to_dict())
-    else:
-        say_paragraphs(*found.summary(whole=options.verbose).split("\n"))
-        if result.found.method == "truth":
-            say_paragraphs(f"warning: {result.file}: {TRUTH}")
-        if not options.verbose:
-            say_paragraphs("Faces, regions and statistics: --verbose")
+    said = found.summary(whole=options.verbose).split("\n")
+    if result.found.method == "truth":
+        said.append(f"warning: {result.file}: {TRUTH}")
+    answer(options, found.to_dict(), *said, *([] if options.verbose else ["Faces, regions and statistics: --verbose"]))
     return DONE if found.passed else FAILED

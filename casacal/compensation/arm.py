@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.result import CalibrationResult, Level, result_of
+from casacal.compensation.result import CalibrationResult, result_of
 from casacal.discrepancy import LinkSag, with_kit, with_link_kit
 from casacal.errors import CasacalError, RefusedResultError
 from casacal.problem.problem import Problem
@@ -47,10 +47,7 @@ class CalibratedArm(Value):
 
     @cached_property
     def used(self) -> Problem:
-        """The problem with the effects that are corrected, and no others, in its pose.
-
-        Raises CasacalError where the problem does not have one of them.
-        """
+        """The problem whose pose has the effects that are corrected, and no others; CasacalError where it lacks one."""
         problem, keys = self.source.problem, self.corrected
         if not keys:
             return problem.without_terms
@@ -76,23 +73,20 @@ class CalibratedArm(Value):
     @property
     def denial(self) -> str | None:
         """The words of a verdict not to use this result; None for any other."""
-        return self._said("do not use")
+        said = self.found.verdict
+        return said.words if said is not None and said.level == "do not use" else None
 
     @property
     def caution(self) -> str | None:
         """The words of a verdict to use this result with care; None for any other."""
-        return self._said("use with care")
-
-    def _said(self, level: Level) -> str | None:
-        verdict = self.found.verdict
-        return verdict.words if verdict is not None and verdict.level == level else None
+        said = self.found.verdict
+        return said.words if said is not None and said.level == "use with care" else None
 
     def check_usable(self, *, force: bool) -> None:
         """Raise RefusedResultError for a result whose verdict is not to use it, unless that is wanted all the same."""
         if self.denial is not None and not force:
-            fix = "Mend what the verdict names and calibrate again; "
-            fix += "--force (force=True) uses it all the same, and says so"
-            raise RefusedResultError(f"{self.file}: {self.denial.removesuffix('.')}", fix)
+            fix = "Mend what the verdict names and calibrate again; --force (force=True) uses it all the same"
+            raise RefusedResultError(f"{self.file}: {self.denial.removesuffix('.')}", f"{fix}, and says so")
 
     def __repr__(self) -> str:
         against = "" if self.denial is None else ", do not use"
@@ -100,15 +94,12 @@ class CalibratedArm(Value):
 
 
 def arm_values(result: CalibratedArm, *, nominal: bool = False) -> SimpleNamespace:
-    """What `robot.pose` takes as `p`: the arm's parameters as calibrated (or as drawn), as numbers (CasADi DM).
-
-    As they are best where nobody corrects an effect beside the geometry.
-    """
-    values = {
-        key: unknown.at(ca.DM(np.asarray(unknown.nominal)), ca.DM(_local(key, unknown, result, nominal, alone=True)))
-        for key, unknown in result.source.problem.robot.parameters.items()
-    }
-    return SimpleNamespace(**values)
+    """Parameters `p` (CasADi DM by name) of `robot.pose`, calibrated without corrected effects, or as drawn."""
+    values = SimpleNamespace()
+    for key, unknown in result.source.problem.robot.parameters.items():
+        local = ca.DM(_local(key, unknown, result, nominal, alone=True))
+        setattr(values, key, unknown.at(ca.DM(np.asarray(unknown.nominal)), local))
+    return values
 
 
 def local_coordinates(result: CalibratedArm, *, nominal: bool = False, of: Problem | None = None) -> Array:
@@ -122,20 +113,17 @@ def local_coordinates(result: CalibratedArm, *, nominal: bool = False, of: Probl
     geometry = result.source.problem.without_terms
     symbols, known = (of or geometry).symbols, geometry.symbols.unknowns
     found = {} if nominal else result.found.of_effects
-    values = [
-        _local(key, unknown, result, nominal, alone=not symbols.acting)
-        if key in known
-        else np.array([found.get(name, 0.0) for name in unknown.names(key)])  # of an effect, where it is corrected
-        for key, unknown in symbols.unknowns.items()
-    ]
-    return np.concatenate([np.zeros(0), *values])
+    values = [np.zeros(0)]
+    for key, unknown in symbols.unknowns.items():
+        if key in known:
+            values.append(_local(key, unknown, result, nominal, alone=not symbols.acting))
+        else:  # of an effect, where it is corrected
+            values.append(np.array([found.get(name, 0.0) for name in unknown.names(key)]))
+    return np.concatenate(values)
 
 
 def row_constants(result: CalibratedArm, of: Problem) -> Array:
-    """Numbers c (nc,) of an instrument's row model: nominals that rows proposed, as a tracked body's, as they stood.
-
-    Zero for what differs by label: faces and their like move neither flange nor tip.
-    """
+    """Numbers c (nc,) of an instrument's row model: nominals that rows proposed; zero for what differs by label."""
     proposed = result.found.proposed
     found = [np.zeros(0)]
     for key in of.model.constants:
@@ -150,27 +138,23 @@ def row_constants(result: CalibratedArm, of: Problem) -> Array:
 def covariance_of(result: CalibratedArm) -> tuple[Array, list[tuple[int, int]]]:
     """Covariance of the result's unknowns (n, n), and which position of the model's z is which of them."""
     covariance, names = named_covariance(result)
-    places = {name: j for j, name in enumerate(names)}
     local = [n for key, u in result.source.problem.symbols.unknowns.items() for n in u.names(key)]
-    return covariance, [(i, places[name]) for i, name in enumerate(local) if name in places]
+    return covariance, [(i, names.index(name)) for i, name in enumerate(local) if name in names]
 
 
 def named_covariance(result: CalibratedArm) -> tuple[Array, list[str]]:
     """Covariance (n, n) as the result holds it, and the unknowns that it is of; raises CasacalError without one."""
     found = result.found
-    if found.covariance is None:
-        if result.denial is not None:
-            said = f"{result.file}: a result that is not to be used has no standard deviations"
-            raise CasacalError(said, "Mend what its verdict names, and calibrate again")
+    if found.covariance is not None:
+        return found.covariance, list(found.covariance_of)
+    if result.denial is None:
         raise CasacalError(f"{result.file}: it holds no covariance", "Calibrate again with this version")
-    return found.covariance, list(found.covariance_of)
+    said = f"{result.file}: a result that is not to be used has no standard deviations"
+    raise CasacalError(said, "Mend what its verdict names, and calibrate again")
 
 
 def with_effects(result: CalibratedArm) -> tuple[Array, dict[str, float]] | None:
-    """Covariance (n, n) of geometry and effects together, and by how much each is elsewhere than the arm is said to be.
-
-    By name, in the order of the covariance; None where a result says nothing of effects.
-    """
+    """Covariance (n, n) of geometry and effects together, and the error of each by name; None without effects."""
     found = result.found.effects
     if found.covariance is None or found.off is None or result.found.covariance is None:
         return None

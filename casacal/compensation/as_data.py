@@ -11,43 +11,45 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
+from importlib import import_module
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from casacal.discrepancy.compliance import GravitySag, LinkSag, TorqueCompliance
-from casacal.discrepancy.gears import Backlash, GearRipple, TransmissionError
-from casacal.discrepancy.smooth import Drift, FaceForm, JointField, ThermalGrowth
 from casacal.errors import CasacalError
 from casacal.graphs import graph_data, graph_from
-from casacal.instruments.description import Probe, ResidualBlock
-from casacal.instruments.dial import DialOnBody, DialOnPlane, Step
 from casacal.instruments.instrument import TracedInstrument
-from casacal.instruments.points import Distance, FixedPoint, KnownPoint, SelfContact, Sockets, SphereTouch, TrackedPoint
-from casacal.instruments.tracked_pose import TrackedPose
 from casacal.problem.problem import Problem
-from casacal.robots.dh_table import DHTable
-from casacal.robots.joints import Conventions, Joint
 from casacal.robots.robot import Robot
-from casacal.robots.traced_pose import Screws, TracedPose
-from casacal.robots.urdf import UrdfChain, UrdfJoint
-from casacal.unknowns import Direction, Frame, Parameter, Plane
 from casacal.values import FrozenMapping
 
-ARMS = (DHTable, Screws, UrdfChain, Conventions, UrdfJoint, Joint)
-UNKNOWNS = (Parameter, Direction, Plane, Frame)
-EFFECTS = (
-    *(Backlash, Drift, FaceForm, GearRipple, GravitySag, JointField, LinkSag, ThermalGrowth),
-    *(TorqueCompliance, TransmissionError),
-)
-INSTRUMENTS = (
-    *(DialOnPlane, DialOnBody, TrackedPoint, KnownPoint, FixedPoint, Sockets, Distance, SphereTouch, TrackedPose),
-    *(SelfContact, Step, TracedInstrument),
-)
-PARTS = (Probe, ResidualBlock, TracedPose)
-KINDS: Mapping[str, type] = {kind.__name__: kind for kind in (*ARMS, *UNKNOWNS, *INSTRUMENTS, *PARTS, *EFFECTS)}
-"""What may stand in such data: nothing else is ever made of them."""
+HOMES: Mapping[str, str] = {
+    "robots.dh_table": "DHTable",
+    "robots.urdf": "UrdfChain UrdfJoint",
+    "robots.joints": "Conventions Joint",
+    "robots.traced_pose": "Screws TracedPose",
+    "unknowns.unknown": "Parameter",
+    "unknowns.geometry": "Direction Plane Frame",
+    "instruments.description": "Probe ResidualBlock",
+    "instruments.instrument": "TracedInstrument",
+    "instruments.dial": "DialOnPlane DialOnBody Step",
+    "instruments.points": "TrackedPoint KnownPoint FixedPoint Sockets Distance SphereTouch SelfContact",
+    "instruments.tracked_pose": "TrackedPose",
+    "discrepancy.compliance": "GravitySag LinkSag TorqueCompliance",
+    "discrepancy.gears": "Backlash GearRipple TransmissionError",
+    "discrepancy.smooth": "Drift FaceForm JointField ThermalGrowth",
+}
+KINDS: Mapping[str, str] = {name: f"casacal.{home}" for home, names in HOMES.items() for name in names.split()}
+"""Classes that may stand in such data, and the modules that define them: nothing else is ever made of the data.
+
+A module is imported when a problem uses one of its classes, and not before."""
+
+
+def _is_of(package: str, item: Any) -> bool:
+    """Whether an item is an instance of one of these classes, defined in a package of casacal."""
+    home = KINDS.get(type(item).__name__, "")
+    return type(item).__module__ == home and home.startswith(package)
 
 
 def problem_data(problem: Problem) -> dict[str, Any]:
@@ -64,13 +66,13 @@ def problem_data(problem: Problem) -> dict[str, Any]:
         "arm": _encoded(robot.arm),
         "pose": _encoded(pose),
         "instruments": [
-            _encoded(each if type(each) in INSTRUMENTS else TracedInstrument.of(each, robot.parameters))
+            _encoded(each if _is_of("casacal.instruments", each) else TracedInstrument.of(each, robot.parameters))
             for each in problem.instruments
         ],
     }
     if len(problem.instruments) > 1:
         data |= {"names": list(problem.names), "shared": _encoded(problem.shared)}
-    if problem.terms and all(type(term) in EFFECTS for term in problem.terms):
+    if problem.terms and all(_is_of("casacal.discrepancy", term) for term in problem.terms):
         data["effects"] = _encoded(problem.terms)
     return {"sha256": _digest(data), **data}
 
@@ -118,7 +120,7 @@ def _encoded(item: Any) -> Any:
         return {"is": "items", "items": [[key, _encoded(each)] for key, each in item.items()]}
     if isinstance(item, ca.Function):
         return {"is": "graph", **graph_data(item)}
-    if type(item) in KINDS.values():
+    if _is_of("casacal", item):
         fields = {
             field.name: _encoded(getattr(item, field.name)) for field in dataclasses.fields(item) if field.compare
         }
@@ -140,4 +142,4 @@ def _decoded(item: Any) -> Any:
     if item["is"] == "graph":
         return graph_from(item)
     fields = {key: _decoded(each) for key, each in item.items() if key != "is"}
-    return KINDS[item["is"]](**fields)
+    return getattr(import_module(KINDS[item["is"]]), item["is"])(**fields)

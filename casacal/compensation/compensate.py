@@ -1,9 +1,7 @@
 """Joint targets for which the calibrated robot reaches the poses that the nominal one was meant to reach.
 
-The calibrated robot is the estimate of a result. Under a finite prior it holds every direction that the samples did not
-see at nominal by itself, because the objective has its minimum there; with flat priors nothing does, and such a result
-is refused. What planes cannot see, where the base frame stands, stays as the prior has it: accuracy is stated apart
-from where the base stands, which a user teaches.
+Directions that the samples did not see stay at nominal under a finite prior; with flat priors nothing holds them, and
+such a result is refused. Accuracy is stated apart from where the base stands, which a user teaches.
 """
 
 from __future__ import annotations
@@ -15,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from casacal.array_types import Array, Rows
-from casacal.compensation.arm import FRAMES, CalibratedArm, covariance_of, local_coordinates, row_constants
+from casacal.compensation.arm import FRAMES, CalibratedArm, local_coordinates, named_covariance, row_constants
 from casacal.compensation.inverse_kinematics import PosedArm, postures, turning
 from casacal.compensation.predict import predict
 from casacal.compensation.result_file import arm_from
@@ -28,8 +26,7 @@ from casacal.robots.robot import joint_units
 LARGEST = math.radians(10)  # joint motion (rad, or its weight in mm) beyond which a correction is a jump
 ROUNDED = 1e-6  # how far (rad, mm) the rounding of a file may put joint values beyond a limit
 STEPS = 150  # at most, for rows that creep along a singularity
-RETRIES, SCATTER = 3, 0.1
-"""Further starts, and how far they lie from the first (rad), for rows where the first one stuck."""
+RETRIES, SCATTER = 3, 0.1  # further starts for rows that stuck, and how far (rad) they lie from the first
 
 
 def compensate(
@@ -92,7 +89,7 @@ def compensate(
     limited = arm.at_limit(joints, positions, rotations) & ~jumps
     beyond: Rows = jumps & (moved <= LARGEST) & arm.takes(joints, positions, rotations)
     joints = rounding(arm, np.where(jumps[:, None] | ~found[:, None], start, joints))
-    place, turn, expected = _proof(result, arm, targets, joints, positions, rotations, result.denial is not None)
+    place, turn, expected = _proof(result, arm, targets, joints, positions, rotations)
     cases = (
         (~found, Outcome.UNREACHABLE),
         (~np.isfinite(place + turn), Outcome.NOT_FINITE),
@@ -116,19 +113,16 @@ def _trusted(result: CalibratedArm, frame: str) -> None:
         return
     if not result.found.converged:
         raise CasacalError(f"{result.file}: the calibration did not converge", "Calibrate again before moving a robot")
-    keys = list(result.source.problem.robot.parameters)
-    if frame == "tip":
-        keys += list(result.source.problem.instrument.unknowns)
-    covariance, columns = covariance_of(result)
-    unknowns = result.source.problem.symbols.unknowns
-    named = [(key, name) for key, unknown in unknowns.items() for name in unknown.names(key)]
-    lost = [named[i][1] for i, j in columns if named[i][0] in keys and not math.isfinite(covariance[j, j])]
+    problem = result.source.problem
+    unknowns = {**problem.robot.parameters, **(problem.instrument.unknowns if frame == "tip" else {})}
+    named = {name for key, unknown in unknowns.items() for name in unknown.names(key)}
+    covariance, known = named_covariance(result)
+    lost = [name for name, v in zip(known, np.diagonal(covariance), strict=True) if name in named and v == np.inf]
     if lost:
-        raise CasacalError(
-            f"{result.file}: neither samples nor prior hold {', '.join(lost[:6])}{', ...' if len(lost) > 6 else ''}, "
-            "so the estimate is arbitrary there",
-            f"Calibrate with a prior, such as --prior {lost[0]}=0.7 or 0.001, or hold it with --fix {lost[0]}",
-        )
+        shown = ", ".join(lost[:6]) + (", ..." if len(lost) > 6 else "")
+        what = f"{result.file}: neither samples nor prior hold {shown}, so the estimate is arbitrary there"
+        fix = f"Calibrate with a prior, such as --prior {lost[0]}=0.7 or 0.001, or hold it with --fix {lost[0]}"
+        raise CasacalError(what, fix)
 
 
 def _meant(nominal: PosedArm, targets: Targets) -> tuple[Array, Array, Array]:
@@ -145,14 +139,11 @@ def _meant(nominal: PosedArm, targets: Targets) -> tuple[Array, Array, Array]:
 
 
 def _solved(arm: PosedArm, positions: Array, rotations: Array, start: Array, largest: float) -> tuple[Array, Rows]:
-    """Joint values near the start that take the poses as well as they can, and rows where only others far away do.
-
-    Rows that stuck, as at a singularity, are tried again from beside their start.
-    """
+    """Joint values near the start that take the poses best, and rows (N,) where only others far away take them."""
     joints = arm.reach(positions, rotations, start, steps=STEPS)
     elsewhere = np.zeros(len(joints), dtype=bool)
     rng = np.random.default_rng(0)
-    for _ in range(RETRIES):
+    for _ in range(RETRIES):  # rows that stuck, as at a singularity, from beside their start
         jumped = np.abs((joints - start) / joint_units(arm.robot)).max(axis=1) > largest
         stuck = np.flatnonzero(~arm.takes(joints, positions, rotations) & ~jumped)
         if not stuck.size:
@@ -167,15 +158,10 @@ def _solved(arm: PosedArm, positions: Array, rotations: Array, start: Array, lar
 
 
 def _proof(
-    result: CalibratedArm,
-    arm: PosedArm,
-    targets: Targets,
-    joints: Array,
-    positions: Array,
-    rotations: Array,
-    denied: bool,
+    result: CalibratedArm, arm: PosedArm, targets: Targets, joints: Array, positions: Array, rotations: Array
 ) -> tuple[Array, Array, Array]:
     """Miss (mm; rad) and standard deviation (mm) of the calibrated robot at joint values, by `predict` alone."""
+    denied = result.denial is not None
     place, turn, spread = (np.full(len(joints), np.nan) for _ in range(3))
     missed = arm.miss(joints, positions, rotations)[:2]
     sound = np.flatnonzero(np.isfinite(np.hstack(missed)).all(axis=1))

@@ -10,14 +10,14 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
+import numpy as np
+
 from casacal.errors import CasacalError
 from casacal.samples.repeats import is_listing
 
 FIX = "Restore the file, or calibrate again"
-EARLIER = "Calibrate again with this version"
 
 
-@cache
 def schema_text() -> str:
     """The JSON schema (draft 2020-12) of result.json, as `casacal schema` prints it."""
     return (resources.files("casacal.compensation") / "result.schema.json").read_text(encoding="utf-8")
@@ -57,14 +57,19 @@ def check_document(file: str, document: Any) -> None:
 
 
 def _check_discrepancy(file: str, part: Mapping[str, Any]) -> None:
-    """Effects beside the geometry, with their sizes, and how well all that moves the tip is known."""
-    corrected = part.get("corrected", [])
+    if "told" in part:
+        what = f"{file}: it is of an earlier version, with an arm for each choice of columns"
+        raise CasacalError(what, "Calibrate again with this version")
+    corrected, further = part.get("corrected", []), part.get("further", {})
     if not set(corrected) <= {effect["key"] for effect in part["effects"]}:
         raise CasacalError(f"{file}: the 'corrected' of its discrepancy is {_short(corrected)}", FIX)
     if corrected and not part.get("without_corrections"):
         raise CasacalError(f"{file}: its discrepancy does not give the arm without corrections", FIX)
+    if not set(further) <= set(corrected):
+        raise CasacalError(f"{file}: its columns of effects are {_short(further)}", FIX)
+    if further and not (part.get("mean") and set(part["mean"]) == set(part.get("spread", ()))):
+        raise CasacalError(f"{file}: it does not say what the columns of effects held in the fitted rows", FIX)
     names = part.get("covariance_of", [])
-    _check_told(file, part)
     if "covariance" in part:
         if not names or len(set(names)) < len(names):
             raise CasacalError(f"{file}: the 'covariance_of' of its discrepancy is {_short(names)}", FIX)
@@ -73,33 +78,20 @@ def _check_discrepancy(file: str, part: Mapping[str, Any]) -> None:
         _check_covariance(file, part["covariance"], len(names))
 
 
-def _check_told(file: str, part: Mapping[str, Any]) -> None:
-    """Columns that tell effects, and what they held in the fitted rows."""
-    further = part.get("further", {})
-    if "told" in part:
-        raise CasacalError(f"{file}: it is of an earlier version, with an arm for each choice of columns", EARLIER)
-    if not set(further) <= set(part.get("corrected", [])):
-        raise CasacalError(f"{file}: its columns of effects are {_short(further)}", FIX)
-    if further and not (part.get("mean") and set(part["mean"]) == set(part.get("spread", ()))):
-        raise CasacalError(f"{file}: it does not say what the columns of effects held in the fitted rows", FIX)
-
-
 def _check_covariance(file: str, rows: list[list[float | None]] | None, count: int) -> None:
-    """A square of numbers, null where a variance is infinite."""
+    """A symmetric table of numbers, null where a variance is infinite."""
     if rows is None:
         return
-    square = len(rows) == count and all(len(row) == count for row in rows)
-    if not square or not all(_symmetric(rows, i, j) for i in range(count) for j in range(i)):
-        raise CasacalError(f"{file}: its covariance is no symmetric table of {count} x {count} numbers", FIX)
-    if any((rows[i][i] or 0.0) < 0 for i in range(count)):
+    what = f"{file}: its covariance is no symmetric table of {count} x {count} numbers"
+    if len(rows) != count or any(len(row) != count for row in rows):
+        raise CasacalError(what, FIX)
+    table = np.array(rows, dtype=np.float64).reshape(count, count)  # null becomes NaN
+    variances = np.nan_to_num(np.diagonal(table))
+    stds = np.sqrt(np.abs(variances))
+    if (np.abs(table - table.T) > 1e-8 * np.outer(stds, stds)).any():
+        raise CasacalError(what, FIX)
+    if (variances < 0).any():
         raise CasacalError(f"{file}: its covariance has negative variances", FIX)
-
-
-def _symmetric(rows: list[list[float | None]], i: int, j: int) -> bool:
-    """Whether two elements are equal to rounding; null stands for infinite ones."""
-    one, other = rows[i][j], rows[j][i]
-    stds = [math.sqrt(abs(rows[k][k] or 0.0)) for k in (i, j)]
-    return one is None or other is None or abs(one - other) <= 1e-8 * stds[0] * stds[1]
 
 
 Way = tuple[str | int, ...]
@@ -107,22 +99,20 @@ TYPES: Mapping[str, Callable[[Any], bool]] = {
     "null": lambda value: value is None,
     "boolean": lambda value: isinstance(value, bool),
     "string": lambda value: isinstance(value, str),
-    "integer": lambda value: not isinstance(value, bool) and (isinstance(value, int) or _is_whole(value)),
+    "integer": lambda value: TYPES["number"](value) and value % 1 == 0,  # JSON Schema takes 2.0 for an integer
     "number": lambda value: isinstance(value, (int, float)) and not isinstance(value, bool) and value == value,
     "array": lambda value: isinstance(value, list),
     "object": lambda value: isinstance(value, dict),
 }
 
 
-def _is_whole(value: Any) -> bool:
-    return isinstance(value, float) and value.is_integer()  # as JSON Schema has it
-
-
 def misfits(schema: Mapping[str, Any], value: Any, path: Way = ()) -> Iterator[tuple[Way, Any]]:
     """Where a value does not fit what result.schema.json uses of JSON Schema: the way there, and what stands there."""
     if "$ref" in schema:
         schema = {**_schema()["$defs"][schema["$ref"].rpartition("/")[2]], **schema}
-    if not _is_kind(schema.get("type"), value) or value not in schema.get("enum", (value,)):
+    kinds = schema.get("type", ())
+    some = (kinds,) if isinstance(kinds, str) else kinds
+    if (some and not any(TYPES[kind](value) for kind in some)) or value not in schema.get("enum", (value,)):
         yield path, value
     elif TYPES["number"](value):
         within = schema.get("exclusiveMinimum", -math.inf) < value < schema.get("exclusiveMaximum", math.inf)
@@ -136,10 +126,6 @@ def misfits(schema: Mapping[str, Any], value: Any, path: Way = ()) -> Iterator[t
         named, other = schema.get("properties", {}), schema.get("additionalProperties", {})
         for key, item in value.items():
             yield from misfits(named.get(key, other), item, (*path, key))
-
-
-def _is_kind(kinds: str | Sequence[str] | None, value: Any) -> bool:
-    return kinds is None or any(TYPES[kind](value) for kind in ((kinds,) if isinstance(kinds, str) else kinds))
 
 
 def _words(document: Any, path: Sequence[str | int]) -> str:

@@ -21,9 +21,7 @@ from casacal.problem.compile import row_function
 from casacal.problem.problem import Problem
 from casacal.robots.robot import AXIS_WEIGHT, Robot, joint_units, random_joints
 
-FEW_JOINTS_WEIGHT = 1.0
-"""Millimetres that weigh as much as one radian where an arm has fewer than six joints: position first, and the
-orientation as near as the position allows (what it costs the position is below a tenth of a micrometre)."""
+FEW_JOINTS_WEIGHT = 1.0  # mm that weigh as much as a radian for fewer than six joints: the position goes first
 
 TOLERANCE = 5e-3, 5e-6  # position (mm) and orientation (rad) within which joint values take a pose
 ARRIVED = 1e-18  # squared miss (mm^2) below which a row is done
@@ -50,10 +48,7 @@ class PosedArm:
         constants: Array | None = None,
         told: Mapping[str, Array] = NOTHING_TOLD,
     ) -> PosedArm:
-        """Compile for the instrument's unknowns at `local` (nz,); the tip stands at reading zero.
-
-        constants: c (nc,) of its row model; zero by default. told: columns (N,) that rows tell, by the model's names.
-        """
+        """Compile at `local` (nz,), row constants c (nc,), zero by default, and told columns (N,); reading zero."""
         model, n = problem.model, len(problem.robot.axes)
         c = ca.DM.zeros(model.pose.size_in(1)) if constants is None else ca.DM(constants)
         z, q = ca.SX.sym("z", model.pose.numel_in(0)), ca.SX.sym("q", n)
@@ -69,7 +64,7 @@ class PosedArm:
         return PosedArm(problem.robot, made, local, frame, np.array([*told.values()]).T)
 
     def of_rows(self, rows: NDArray[Any]) -> PosedArm:
-        """The same as some rows (M,) tell of it."""
+        """The arm with the told columns of some rows (M,)."""
         return replace(self, told=self.told[rows]) if self.told.size else self
 
     def __call__(self, joints: Array) -> tuple[Array, Array, Array]:
@@ -99,14 +94,10 @@ class PosedArm:
         return self.within(np.linalg.norm(place, axis=1), np.linalg.norm(turn, axis=1))
 
     def reach(self, positions: Array, rotations: Array, start: Array, *, steps: int = 60) -> Array:
-        """Joint values (N, n), inside the limits, that bring each row as near to its pose as damped steps lead.
+        """Joint values (N, n), inside the limits, as near to poses (N, 3; mm) and (N, 3, 3) as damped steps lead.
 
-        Damped Gauss-Newton (Levenberg 1944), each row with its own damping; joints that stand at a limit and are
-        pulled beyond it rest. Where joints are to spare, each step is the smallest joint motion that does it. Rows
-        whose model gives values that are not finite stay where they are.
-
-        positions, rotations: the poses (N, 3; mm) and (N, 3, 3). start: joint values (N, n; rad, mm), brought inside
-        the limits first. steps: at most.
+        Damped Gauss-Newton (Levenberg 1944), each row with its own damping, from a start (N, n; rad, mm) inside the
+        limits; a joint that is pulled beyond its limit rests. Rows that are not finite stay where they are.
         """
         lower, upper = self.robot.limits
         joints = np.clip(start, lower, upper)
@@ -159,19 +150,17 @@ class PosedArm:
 BANK = 4096  # random postures among which starts are looked for
 ROUNDS = (6, 24)  # starts per pose in the first round, and in the second for poses that none of them reached
 PATIENCE = 16  # steps of a start: those that are not there by then creep along a singularity, and others are faster
-SWEEPS, TORN, ON_A_PATH = 8, 0.5, 0.5
-"""Times that torn paths are repaired; joint motion (rad) between rows at which one is torn; and how near two poses must
-be (in units of a radian or `AXIS_WEIGHT` mm) to count as one path."""
+SWEEPS = 8  # times that torn paths are repaired
+TORN = 0.5  # joint motion (rad) between rows at which a path is torn
+ON_A_PATH = 0.5  # distance of two poses (in units of a radian or `AXIS_WEIGHT` mm) up to which they are on one path
 BEYOND = 1.05  # fraction of the farthest random posture's distance from the base beyond which no pose is looked for
 
 
 def postures(arm: PosedArm, positions: Array, rotations: Array) -> Array:
-    """Joint values (N, n) at which an arm takes poses, found from many starts; NaN where none was found.
+    """Joint values (N, n) at which an arm takes poses (N, 3; mm) and (N, 3, 3), from many starts; NaN where none does.
 
-    Of the postures that were found for a pose the one nearest to that of the row before is taken, for the first row
-    the one nearest to mid-range. Where neighbours on a path would still differ, the row before is a start too.
-
-    arm: usually the nominal one. positions, rotations: the poses (N, 3; mm) and (N, 3, 3).
+    Of several postures the one nearest to that of the row before is taken, for the first row the one nearest to
+    mid-range. Where neighbours on a path would still differ, the row before is a start too.
     """
     from scipy.spatial import KDTree
 
@@ -195,8 +184,7 @@ def postures(arm: PosedArm, positions: Array, rotations: Array) -> Array:
         first, rows = first + starts, np.array([row for row in rows if not len(found[row])], dtype=np.intp)
     chosen = _one_branch(arm, found)
     for _ in range(SWEEPS):
-        rows = torn(arm.robot, chosen, positions, rotations)
-        if not rows.size:
+        if not (rows := torn(arm.robot, chosen, positions, rotations)).size:
             break
         try_from(rows, chosen[rows - 1][:, None])
         chosen = _one_branch(arm, found)
@@ -225,7 +213,7 @@ def _one_branch(arm: PosedArm, found: list[Array]) -> Array:
         if len(choices):
             lowest, highest = np.ceil((lower - choices) / turns), np.floor((upper - choices) / turns)
             whole = np.clip(np.round((last - choices) / turns), lowest, highest)
-            choices = choices + np.where(np.isfinite(turns), whole * np.where(np.isfinite(turns), turns, 0.0), 0.0)
+            choices = choices + np.where(arm.robot.revolute, whole * 2 * np.pi, 0.0)
             last = choices[np.argmin((((choices - last) / joint_units(arm.robot)) ** 2).sum(axis=1))]
             chosen[i] = last
     return chosen

@@ -63,38 +63,25 @@ class Prediction(Value):
         return f"<{len(self)} predicted poses{spread}{against}>"
 
 
-def read_joints(path: str | Path, source: ProblemFile) -> Samples:
-    """Read joint values, and the instrument's columns where the file has them; raises SamplesError."""
-    columns = read_columns(path)
-    return Samples.from_columns(columns, _layout(columns.header, source))
-
-
-def _layout(header: Sequence[str], source: ProblemFile) -> Layout:
-    """Joints, and of what a problem asks for the columns that a header has."""
-    asked = source.problem.layout()
-    present = {
-        name: dimension
-        for name, dimension in asked.columns.items()
-        if any(column == name or column.startswith(f"{name}_") for column in header)
-    }
-    probe = source.problem.instrument.probe
-    zero = tuple(name for name in header if probe is not None and name == probe.zero_label)
-    return Layout(asked.joints, present, zero, further=asked.further)
-
-
 def joints_from(q: Any, source: ProblemFile) -> Samples:
     """Joint values of a problem's arm from numbers (n,) or (N, n) in rad and mm, a frame, a file, or `Samples`.
 
-    Raises CasacalError for numbers that do not fit the joints, SamplesError for a frame or file.
+    Of a frame or file also those of the instrument's columns that it has. Raises CasacalError for numbers that do not
+    fit the joints, SamplesError for a frame or file.
     """
     if isinstance(q, Samples):
         return q
-    if isinstance(q, (str, Path)):
-        return read_joints(q, source)
-    if is_frame(q):
-        columns = table_of_frame(q).columns
-        return Samples.from_columns(columns, _layout(columns.header, source))
-    return Samples.of_joints(joint_values(q, source.problem.robot))
+    if not isinstance(q, (str, Path)) and not is_frame(q):
+        return Samples.of_joints(joint_values(q, source.problem.robot))
+    columns = read_columns(q) if isinstance(q, (str, Path)) else table_of_frame(q).columns
+    asked, probe = source.problem.layout(), source.problem.instrument.probe
+    present = {
+        name: dimension
+        for name, dimension in asked.columns.items()
+        if any(column == name or column.startswith(f"{name}_") for column in columns.header)
+    }
+    zero = tuple(name for name in columns.header if probe is not None and name == probe.zero_label)
+    return Samples.from_columns(columns, Layout(asked.joints, present, zero, further=asked.further))
 
 
 def predict(
@@ -139,34 +126,26 @@ def predict(
     problem = result.source.problem.without_terms if nominal else result.used
     model, instrument = problem.model, problem.instrument
     z = local_coordinates(result, nominal=nominal, of=problem)
-    n, read = (
-        joints.joints.shape[1],
-        {name: joints.columns[name] for name in instrument.columns if name in joints.columns},
-    )
+    n = joints.joints.shape[1]
+    read = {name: joints.columns[name] for name in instrument.columns if name in joints.columns}
     data = whole_rows(joints.joints, n, model.names, {**read, **told.columns})
     known, constants = n + len(instrument.columns) + len(instrument.known_columns), row_constants(result, problem)
     poses = stacked_poses(model.batch.pose(z, constants, data)[0])
     positions = model.batch.tip(z, constants, data)[0] if frame == "tip" else poses[:, :3, 3]
-    found = result.found.values(alone=not model.terms)
+    found, unseen = result.found.values(alone=not model.terms), tuple[str, ...]()
     zeros = RowZeros.of(instrument, joints, found) if frame == "tip" else None
-    unseen: tuple[str, ...] = ()
     if zeros is not None and not nominal:
         unseen = tuple(dict.fromkeys(name.partition(".")[2] for name in zeros.names if name not in found))
         shifts = np.array([[found.get(name, 0.0)] for name in zeros.names])
         positions = positions + shifts * zeros.sign * model.batch.plunger(z, constants, data)[0]
-    spread = None
-    if std:
-        if nominal:
-            raise CasacalError("The nominal arm has no standard deviation", "Leave out --nominal or --std")
-        spread = position_stds(result, data[:, :known], frame, zeros, told)
+    if std and nominal:
+        raise CasacalError("The nominal arm has no standard deviation", "Leave out --nominal or --std")
+    spread = position_stds(result, data[:, :known], frame, zeros, told) if std else None
     return Prediction(positions, quaternions_of(poses[:, :3, :3]), spread, unseen, told.missing, told.beyond, denial)
 
 
 def write_prediction(path: str | Path, prediction: Prediction, remarks: Sequence[str] = ()) -> None:
-    """Write x_mm,y_mm,z_mm,qw,qx,qy,qz, and std_mm where there is one; a row per pose, below a line on what it is.
-
-    remarks: sentences for that line. A verdict not to use the result stands in a line of its own.
-    """
+    """Write x_mm,y_mm,z_mm,qw,qx,qy,qz, and std_mm where there is one, below lines with remarks and any denial."""
     said = " ".join(" ".join((f"predicted, {MADE}: poses in the base frame.", *remarks)).split())
     lines = [f"# {said}"]
     lines += [] if prediction.denial is None else [f"# WARNING, against the verdict: {prediction.denial}"]

@@ -19,7 +19,7 @@ from casacal.compensation.arm import TRUTH, CalibratedArm
 from casacal.compensation.inverse_kinematics import torn
 from casacal.compensation.targets import Compensation, Outcome, Rounding
 from casacal.compensation.told import told_notes
-from casacal.errors import CasacalError, UnknownNameError
+from casacal.errors import CasacalError, refuse_unknown
 from casacal.files import MADE
 from casacal.robots.robot import Robot
 from casacal.uncertainty.figures import rms
@@ -105,10 +105,9 @@ CSV = "csv"
 
 def rounding_of(form: str, robot: Robot) -> Rounding:
     """How a form writes joint values; raises CasacalError for a robot whose joints its language does not hold."""
+    refuse_unknown("form of targets", [form], (CSV, *LANGUAGES))
     if form == CSV:
         return Rounding()
-    if form not in LANGUAGES:
-        raise UnknownNameError("form of targets", str(form), (CSV, *LANGUAGES))
     LANGUAGES[form].refuse_others(robot, "joint move", "Use --format csv")
     return LANGUAGES[form].rounding
 
@@ -116,32 +115,29 @@ def rounding_of(form: str, robot: Robot) -> Rounding:
 def text_of(compensation: Compensation, form: str, result: CalibratedArm) -> str:
     """The file: notes on what it is and what to expect, then one entry per target."""
     what = notes(compensation, result)
-    if form == CSV:
-        said = [f"# {line}" for note in what for line in in_comments(note)]
-        return "\n".join([*said, *_table(compensation, result)]) + "\n"
-    return LANGUAGES[form].program(compensation, what)
+    if form != CSV:
+        return LANGUAGES[form].program(compensation, what)
+    said = [f"# {line}" for note in what for line in in_comments(note)]
+    return "\n".join([*said, *_table(compensation, result)]) + "\n"
 
 
 def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
     """What the file is, how it was proved, and what accuracy to expect; one sentence per line."""
     reached, targets = compensation.reached, compensation.targets
     counts = Counter(outcome.value for outcome in compensation.outcomes)
-    arm = result.source.problem.robot.parameters
-    names = {name for key, unknown in arm.items() for name in unknown.names(key)}
+    robot = result.source.problem.robot
+    names = {name for key, unknown in robot.parameters.items() for name in unknown.names(key)}
     unseen = [row.name for row in result.found.parameters if row.known_from in ("prior alone", "held")]
     held = [name for name in unseen if name in names]
     lines = [
-        f"{MADE}: compensate {targets.file} (SHA-256 {targets.sha256[:12]}), result {result.file} of "
-        f"{result.source.problem.robot.name}",
+        f"{MADE}: compensate {targets.file} (SHA-256 {targets.sha256[:12]}), result {result.file} of {robot.name}",
         "joint values are those that the controller shows",
         f"{len(targets)} targets: " + ", ".join(f"{count} {word}" for word, count in counts.items()),
     ]
     if result.found.method == "truth":
         lines.append(f"WARNING: {TRUTH}")
-    words = result.denial
-    verb = "removes" if words is None else "changes"
-    if words is not None:
-        lines.append(f"WARNING, forced against the verdict: {words}")
+    if (denial := result.denial) is not None:
+        lines.append(f"WARNING, forced against the verdict: {denial}")
     if (care := result.caution) is not None:
         lines.append(f"the result's verdict: {care}")
     if reached.any():
@@ -149,16 +145,17 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
             f"round trip: at these joint values the calibrated {compensation.frame} misses the nominal poses by "
             f"{_figures(compensation.residual_mm[reached], 'mm')} and "
             f"{_figures(1e3 * compensation.residual_rad[reached], 'mrad')}, over the rows that are reached",
-            f"what the correction {verb} there: {_figures(compensation.correction_mm[reached], 'mm')}",
+            f"what the correction {'removes' if denial is None else 'changes'} there: "
+            f"{_figures(compensation.correction_mm[reached], 'mm')}",
         ]
-    if reached.any() and words is None:
+    if reached.any() and denial is None:
         lines.append(
             f"position error of the {compensation.frame} to expect: "
             f"{_figures(compensation.expected_mm[reached], 'mm')}; standard deviation, apart from the position of the "
             f"base, which must be taught"
         )
     lines += told_notes(result, compensation.missing, compensation.beyond)
-    if len(result.source.problem.robot.axes) < 6:
+    if len(robot.axes) < 6:
         lines.append("fewer than six joints: position first, the orientation as near as the position allows")
     if targets.poses is not None and targets.joints is None:
         jumps = [targets.lines[i] for i in torn(result.source.problem.robot, compensation.joints, *targets.poses)]
@@ -175,29 +172,22 @@ def _figures(values: Array, unit: str) -> str:
 
 
 def _table(compensation: Compensation, result: CalibratedArm) -> Iterator[str]:
-    """Header and rows of the CSV."""
     turns = result.source.problem.robot.revolute
-    names = [f"q{i}_{'deg' if turn else 'mm'}" for i, turn in enumerate(turns, 1)]
-    yield ",".join(
-        ["line", *names, "status", "residual_mm", "residual_mrad", "correction_mm", "correction_deg", "expected_mm"]
-    )
+    names = ",".join(f"q{i}_{'deg' if turn else 'mm'}" for i, turn in enumerate(turns, 1))
+    yield f"line,{names},status,residual_mm,residual_mrad,correction_mm,correction_deg,expected_mm"
     denied = result.denial is not None
     written = compensation.joints * np.where(turns, 180 / math.pi, 1.0)
-    figures = np.column_stack(
-        [
-            compensation.residual_mm,
-            1e3 * compensation.residual_rad,
-            compensation.correction_mm,
-            np.degrees(compensation.correction),
-            compensation.expected_mm,
-        ]
-    )
-    for line, joints, outcome, row in zip(
-        compensation.targets.lines, written, compensation.outcomes, figures, strict=True
-    ):
-        cells = [_cell(value, compensation.rounding.decimals) for value in joints]
-        known = [_cell(value, 6) for value in row[:-1]] + ["" if denied else _cell(row[-1], 6)]
-        yield ",".join([str(line), *cells, outcome.value, *known])
+    for i, outcome in enumerate(compensation.outcomes):
+        figures = (
+            compensation.residual_mm[i],
+            1e3 * compensation.residual_rad[i],
+            compensation.correction_mm[i],
+            math.degrees(compensation.correction[i]),
+            math.nan if denied else compensation.expected_mm[i],
+        )
+        joints = [_cell(value, compensation.rounding.decimals) for value in written[i]]
+        known = [_cell(value, 6) for value in figures]
+        yield ",".join([str(compensation.targets.lines[i]), *joints, outcome.value, *known])
 
 
 def _cell(value: float, decimals: int) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -45,10 +45,13 @@ class ParameterFound(Value):
 class TipErrors(Value):
     """Tip error to expect over the workspace, mm RMS, now and by the priors, and the flange's; NaN where denied."""
 
-    expected_mm: float = math.nan
-    prior_mm: float = math.nan
-    flange_expected_mm: float = math.nan
-    flange_prior_mm: float = math.nan
+    expected_mm: float
+    prior_mm: float
+    flange_expected_mm: float
+    flange_prior_mm: float
+
+
+TIP_ERRORS = ("expected", "prior", "flange_expected", "flange_prior")
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,14 +67,11 @@ class FaceNoise(Value):
 class NoiseFound(Value):
     """Noise over what was stated with its 95 % interval, by face, and what joints do not repeat, rad."""
 
-    ratio: float = math.nan
-    low: float = math.nan
-    high: float = math.nan
-    joints_rad: float = 0.0
-    by_face: Mapping[str, FaceNoise] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "by_face", FrozenMapping(self.by_face))
+    ratio: float
+    low: float
+    high: float
+    joints_rad: float
+    by_face: Mapping[str, FaceNoise]
 
 
 @dataclass(frozen=True)
@@ -92,37 +92,34 @@ class EffectsFound(Value):
     covariance (k, k) of the unknowns `covariance_of`, geometry and effects together, and by how much each of these is
     elsewhere than the arm is said to be (`off`); None where the verdict denies them. usual, mean, spread: RMS, mean and
     standard deviation in the fitted rows of the columns of a row model that tell effects. ranges: lowest and highest
-    amount by column of a file. further: columns of a file that tell an effect, by its key.
+    amount by column of a file. further: columns of a file that tell an effect, by its key. uncorrected_mm: tip error
+    to expect, mm RMS, where nobody corrects an effect.
     """
 
-    effects: tuple[EffectFound, ...] = ()
-    corrected: tuple[str, ...] = ()
-    values: Mapping[str, float] = field(default_factory=dict)
-    of: Mapping[str, str] = field(default_factory=dict)
-    without_corrections: Mapping[str, float] = field(default_factory=dict)
-    covariance_of: tuple[str, ...] = ()
-    covariance: Array | None = None
-    off: Array | None = None
-    usual: Mapping[str, float] = field(default_factory=dict)
-    mean: Mapping[str, float] = field(default_factory=dict)
-    spread: Mapping[str, float] = field(default_factory=dict)
-    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    further: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    uncorrected_mm: float = math.nan
-    """Tip error to expect, mm RMS, where nobody corrects an effect."""
+    effects: tuple[EffectFound, ...]
+    corrected: tuple[str, ...]
+    values: Mapping[str, float]
+    of: Mapping[str, str]
+    without_corrections: Mapping[str, float]
+    covariance_of: tuple[str, ...]
+    covariance: Array | None
+    off: Array | None
+    usual: Mapping[str, float]
+    mean: Mapping[str, float]
+    spread: Mapping[str, float]
+    ranges: Mapping[str, tuple[float, float]]
+    further: Mapping[str, tuple[str, ...]]
+    uncorrected_mm: float
 
 
 @dataclass(frozen=True, eq=False)
 class FittedData(Value):
-    """The samples: file, SHA-256, the listing of the fitted rows (`samples.repeats`), None where it is not known.
+    """The samples: file (of each of several instruments), SHA-256, and the listing of the fitted rows, where known."""
 
-    instruments: the files of each of several instruments.
-    """
-
-    file: str | None = None
-    sha256: str = ""
-    fitted_rows: Mapping[str, Any] | None = None
-    instruments: Mapping[str, str] = field(default_factory=dict)
+    file: str | None
+    sha256: str
+    fitted_rows: Mapping[str, Any] | None
+    instruments: Mapping[str, str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,28 +174,28 @@ def result_of(document: Mapping[str, Any]) -> CalibrationResult:
         status=str(document.get("status") or ""),
         converged=bool(document.get("converged", False)),
         verdict=Verdict(said["level"], said["words"], tuple(said.get("reasons") or ())) if said else None,
-        parameters=tuple(_parameter(row) for row in document.get("parameters", ())),
+        parameters=tuple(
+            ParameterFound(
+                row["name"],
+                row.get("unit", ""),
+                float(row["nominal"]),
+                float(row["estimate"]),
+                _number(row.get("std")),
+                str(row.get("known_from", "")),
+            )
+            for row in document.get("parameters", ())
+        ),
         unknowns=FrozenMapping(unknowns),
         proposed=FrozenMapping({k: _array(v) for k, v in (document.get("proposed") or {}).items()}),
         planes=tuple(document.get("planes") or ()),
         covariance_of=tuple(unknowns) if names is None else tuple(names),
         covariance=None if covariance is None else _square(covariance, len(unknowns if names is None else names)),
-        tip=TipErrors(
-            _number(tip.get("expected_rms_mm")),
-            _number(tip.get("prior_rms_mm")),
-            _number(tip.get("flange_expected_rms_mm")),
-            _number(tip.get("flange_prior_rms_mm")),
-        ),
+        tip=TipErrors(*(_number(tip.get(f"{key}_rms_mm")) for key in TIP_ERRORS)),
         noise=_noise(document.get("noise") or {}),
         effects=_effects(document.get("discrepancy") or {}),
         data=_data(document.get("data") or {}),
         cost=_number(document.get("cost")),
     )
-
-
-def _parameter(row: Mapping[str, Any]) -> ParameterFound:
-    std, known = _number(row.get("std")), str(row.get("known_from", ""))
-    return ParameterFound(row["name"], row.get("unit", ""), float(row["nominal"]), float(row["estimate"]), std, known)
 
 
 def _noise(part: Mapping[str, Any]) -> NoiseFound:
@@ -207,7 +204,7 @@ def _noise(part: Mapping[str, Any]) -> NoiseFound:
         stated, used = float(face["stated_mm"]), float(face["used_mm"])
         faces[name] = FaceNoise(stated, used, float(face.get("without_joints_mm", used)))  # lacking in older files
     ratio, low, high = (_number(part.get(key)) for key in ("ratio", "low", "high"))
-    return NoiseFound(ratio, low, high, float(part.get("joints_rad") or 0.0), faces)
+    return NoiseFound(ratio, low, high, float(part.get("joints_rad") or 0.0), FrozenMapping(faces))
 
 
 def _effects(part: Mapping[str, Any]) -> EffectsFound:
@@ -217,20 +214,22 @@ def _effects(part: Mapping[str, Any]) -> EffectsFound:
         for key in ("usual", "mean", "spread")
     )
     return EffectsFound(
-        tuple(EffectFound(each["key"], each["words"], float(each["times"])) for each in part.get("effects", ())),
-        tuple(part.get("corrected", ())),
-        FrozenMapping(_values(part.get("unknowns"))),
-        FrozenMapping({row["name"]: row["effect"] for row in part.get("unknowns", ())}),
-        FrozenMapping(_values(part.get("without_corrections"))),
-        names,
-        None if covariance is None else _square(covariance, len(names)),
-        None if covariance is None else _array(part["off"]),
-        usual,
-        mean,
-        spread,
-        FrozenMapping({k: (float(v["lowest"]), float(v["highest"])) for k, v in part.get("range", {}).items()}),
-        FrozenMapping({key: tuple(columns) for key, columns in part.get("further", {}).items()}),
-        _number(part.get("expected_rms_mm_without_corrections")),
+        effects=tuple(
+            EffectFound(each["key"], each["words"], float(each["times"])) for each in part.get("effects", ())
+        ),
+        corrected=tuple(part.get("corrected", ())),
+        values=FrozenMapping(_values(part.get("unknowns"))),
+        of=FrozenMapping({row["name"]: row["effect"] for row in part.get("unknowns", ())}),
+        without_corrections=FrozenMapping(_values(part.get("without_corrections"))),
+        covariance_of=names,
+        covariance=None if covariance is None else _square(covariance, len(names)),
+        off=None if covariance is None else _array(part["off"]),
+        usual=usual,
+        mean=mean,
+        spread=spread,
+        ranges=FrozenMapping({k: (float(v["lowest"]), float(v["highest"])) for k, v in part.get("range", {}).items()}),
+        further=FrozenMapping({key: tuple(columns) for key, columns in part.get("further", {}).items()}),
+        uncorrected_mm=_number(part.get("expected_rms_mm_without_corrections")),
     )
 
 

@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,8 +24,8 @@ from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile, SourceFile, load_problem
 from casacal.robots.dh_table import DHTable, read_dh_file
 from casacal.robots.robot import Arm
-from casacal.robots.urdf import UrdfChain
 from casacal.unknowns import Parameter
+from casacal.wording import lower
 
 FREE = ("seal", "seconds", BY)  # keys that are not sealed
 
@@ -43,17 +44,14 @@ def check_seal(file: str, document: Mapping[str, Any]) -> None:
     seal = document.get("seal")
     if not isinstance(seal, dict) or not isinstance(seal.get("of"), list):
         raise CasacalError(f"{file}: its seal is gone, so it was changed after it was written", FIX)
-    keys = seal["of"]
-    try:
-        same = all(isinstance(key, str) for key in keys) and seal.get("sha256") == _digest(document, keys)
-    except (ValueError, RecursionError):
-        same = False
-    if not same:
+    keys, digest = seal["of"], None
+    with suppress(ValueError, RecursionError):
+        digest = _digest(document, keys) if all(isinstance(key, str) for key in keys) else None
+    if digest is None or seal.get("sha256") != digest:
         raise CasacalError(f"{file}: it was changed after it was written", FIX)
 
 
 def _digest(document: Mapping[str, Any], keys: Sequence[str]) -> str:
-    """Hash of the list of keys and of what stands there, as JSON with sorted keys and without spaces."""
     told = [list(keys), {key: document[key] for key in keys if key in document}]
     return hashlib.sha256(json.dumps(told, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
@@ -80,7 +78,6 @@ def read_result(path: str | Path, *, problem: Problem | None = None) -> Calibrat
         source = ProblemFile.of(problem, document["problem"]["name"])
     elif document.get("arm") is not None:
         source = _own_problem(place, document)
-        _refuse_changes(place, document, source.problem)
     else:
         source = _older_problem(place, document)
     _check_nominal(str(place), source, document)
@@ -88,7 +85,6 @@ def read_result(path: str | Path, *, problem: Problem | None = None) -> Calibrat
 
 
 def _read(place: Path) -> dict[str, Any]:
-    """The document, whose parts are what others rely on."""
     fix = "Give the result.json that calibrate --out wrote"
     try:
         document = json.loads(place.read_text(encoding="utf-8"), object_pairs_hook=_without_twins)
@@ -98,7 +94,7 @@ def _read(place: Path) -> dict[str, Any]:
         raise CasacalError(f"{place}: it cannot be read ({error.strerror})", fix) from None
     except (ValueError, RecursionError):
         raise CasacalError(f"{place}: this is not a result of casacal", fix) from None
-    schema = document.get("schema", 0) if isinstance(document, dict) else None
+    schema = document.get("schema") if isinstance(document, dict) else None
     if isinstance(schema, int) and schema > SCHEMA:
         what = f"{place}: a newer casacal wrote it (schema {schema}; this one reads up to {SCHEMA})"
         raise CasacalError(what, "Update casacal")
@@ -110,7 +106,6 @@ def _read(place: Path) -> dict[str, Any]:
 
 
 def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object of JSON; raises ValueError where a key stands in it twice."""
     made = dict(pairs)
     if len(made) < len(pairs):
         raise ValueError("a key appears twice")
@@ -118,32 +113,28 @@ def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _own_problem(place: Path, document: Mapping[str, Any]) -> ProblemFile:
-    """The problem that a result holds."""
+    """The problem that a result holds; refused where the files that it was made from still stand and differ."""
     said = document["problem"]
     try:
         problem = problem_from(document["arm"])
     except CasacalError as error:
-        raise CasacalError(f"{place}: {error.what[:1].lower()}{error.what[1:]}", error.fix) from error
-    found = [place.parent / said["path"]] if said["path"] else []
-    path = next((each.as_posix() for each in found if each.is_file()), "")
+        raise CasacalError(f"{place}: {lower(error.what)}", error.fix) from error
+    path = place.parent / said["path"]
+    shown = path.as_posix() if said["path"] and path.is_file() else ""
     files = tuple(SourceFile(each["path"], each["sha256"], each["text"]) for each in said.get("files", []))
-    return ProblemFile(said["name"], path, said["sha256"], problem, None, files)
-
-
-def _refuse_changes(place: Path, document: Mapping[str, Any], problem: Problem) -> None:
-    """Refuse a result whose arm was edited since, where the files that it was made from still stand."""
-    for kept in document["problem"].get("files", []):
-        path = Path(os.path.normpath(place.parent / kept["path"]))
+    for kept in files:
+        path = Path(os.path.normpath(place.parent / kept.path))
         try:
             if not path.is_file() or path.stat().st_size > LARGEST_SOURCE:  # it went elsewhere: the result stands alone
                 continue
             now = SourceFile.read(path)
         except OSError:
             continue
-        same = now.sha256 == kept["sha256"] or _same_code(path, now.text, kept["text"])
+        same = now.sha256 == kept.sha256 or _same_code(path, now.text, kept.text)
         if not same and not _same_arm(path, problem.robot.arm):
             fix = "Calibrate again, restore that file, or move the result elsewhere to use the arm as it was"
             raise CasacalError(f"{place}: {path} has changed since the calibration", fix)
+    return ProblemFile(said["name"], shown, said["sha256"], problem, None, files)
 
 
 def _same_code(path: Path, one: str, other: str) -> bool:
@@ -156,6 +147,8 @@ def _same_code(path: Path, one: str, other: str) -> bool:
 
 def _same_arm(path: Path, arm: Arm | None) -> bool:
     """Whether a URDF or a DH table says what it said, whatever its comments and its layout."""
+    from casacal.robots.urdf import UrdfChain
+
     try:
         if isinstance(arm, UrdfChain) and path.name == arm.file:
             there = UrdfChain.read(path, arm.chain[0].parent, arm.chain[-1].child, arm.conventions)
@@ -186,8 +179,8 @@ def _check_nominal(file: str, source: ProblemFile, document: Mapping[str, Any]) 
         if not isinstance(unknown, Parameter) or unknown.nominal is None:
             continue
         for name, value in zip(unknown.component_names(key), np.ravel(unknown.nominal), strict=True):
-            was = began.get(name)
-            if was is not None and abs(was - value) > 1e-9 * (1 + abs(value)):
+            was = began.get(name, value)
+            if abs(was - value) > 1e-9 * (1 + abs(value)):
                 what = f"{file}: its arm has changed since the calibration ('{name}' was {was:g} and is {value:g})"
                 raise CasacalError(what, "Calibrate again, or restore the file that the problem reads")
 

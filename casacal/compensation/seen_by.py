@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 from casacal.compensation.arm import CalibratedArm
-from casacal.problem.problem import Problem
 from casacal.values import FrozenMapping
 
 NAMED = ("parameters", "unknowns", "without_corrections")  # parts of a result whose entries have the name of an unknown
@@ -22,23 +21,27 @@ def seen_by(arm: CalibratedArm, instrument: str | None = None) -> CalibratedArm:
     themselves stays under their names. Raises UnknownNameError where no instrument is called so.
     """
     problem = arm.source.problem
-    if len(problem.instruments) == 1:
-        if instrument is not None:
-            problem.number(instrument)
-        return arm
     name = problem.names[0] if instrument is None else instrument
-    of_others = _of_others(problem, name)
+    problem.number(name)
+    if len(problem.instruments) == 1:
+        return arm
+    # unknowns that other instruments share, where this one has its own by that key
+    theirs = [key for key, by in problem.shared.items() if name not in by]
+    exact = set(theirs)
+    for key in theirs:
+        unknown = problem.instruments[problem.number(problem.shared[key][0])].unknowns[key]
+        exact |= {*unknown.names(key), *unknown.component_names(key)}
 
     def own(each: str) -> str:
-        return f"{OTHERS}{each}" if of_others(each) else each.removeprefix(f"{name}.")
+        of_others = each in exact or any(each.startswith(f"{key}.") for key in theirs)
+        return f"{OTHERS}{each}" if of_others else each.removeprefix(f"{name}.")
 
     found = dict(arm.document)
     if name != problem.names[0] and found.get("tip") is not None:  # it is of the first instrument's tip
         found["tip"] = {**found["tip"], "expected_rms_mm": None, "prior_rms_mm": None}
     found |= _renamed(found, own)
     if isinstance(said := found.get("discrepancy"), Mapping):
-        told = {"told": [{**each, **_renamed(each, own)} for each in said["told"]]} if "told" in said else {}
-        found["discrepancy"] = {**said, **_renamed(said, own), **told}
+        found["discrepancy"] = {**said, **_renamed(said, own)}
     if isinstance(found.get("proposed"), Mapping):
         found["proposed"] = {own(key): value for key, value in found["proposed"].items()}
     if isinstance(noise := found.get("noise"), Mapping):
@@ -51,21 +54,8 @@ def seen_by(arm: CalibratedArm, instrument: str | None = None) -> CalibratedArm:
     return CalibratedArm(arm.file, replace(arm.source, problem=problem.measured_by(name)), FrozenMapping(found))
 
 
-def _of_others(problem: Problem, name: str) -> Callable[[str], bool]:
-    """Whether an unknown is one that other instruments share, and this one has by the same key for itself."""
-    theirs = [key for key, by in problem.shared.items() if name not in by]
-    unknowns = dict(zip(problem.names, problem.instruments, strict=True))
-    exact = {
-        each
-        for key in theirs
-        for unknown in [unknowns[problem.shared[key][0]].unknowns[key]]
-        for each in (key, *unknown.names(key), *unknown.component_names(key))
-    }
-    return lambda each: each in exact or any(each.startswith(f"{key}.") for key in theirs)
-
-
 def _renamed(part: Mapping[str, Any], own: Callable[[str], str]) -> dict[str, Any]:
-    """What of a part has the names of unknowns, with other names."""
+    """The entries of a part that are named by unknowns, renamed."""
     rows = {key: [{**row, "name": own(row["name"])} for row in part[key]] for key in NAMED if key in part}
     names = part.get("covariance_of")
     return rows if names is None else {**rows, "covariance_of": [own(each) for each in names]}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,6 @@ from casacal.compensation.arm import CalibratedArm, all_motion, local_coordinate
 from casacal.compensation.told import NOTHING, NOTHING_TOLD, TellingColumns, whole_rows
 from casacal.errors import CasacalError
 from casacal.instruments import Instrument
-from casacal.kinematics import stacked_poses
 from casacal.problem.compile import RowModel
 from casacal.problem.term import Site
 from casacal.samples.samples import Samples
@@ -38,33 +37,26 @@ class Moved:
 
 
 def moved_arm(result: CalibratedArm) -> Moved:
-    """All that moves the arm of a result; raises CasacalError where it holds no covariance, or of another kit."""
+    """All that moves the arm of a result; raises CasacalError without a covariance, and for effects of another kit."""
     problem, effects = result.source.problem, with_effects(result)
     problem = problem if effects is None else result.with_its_kit(problem)
     model, away = problem.model, dict.fromkeys(problem.model.names, 0.0)
     names = [name for key, unknown in problem.symbols.unknowns.items() for name in unknown.names(key)]
     if effects is not None:
-        lost = sorted(set(result.found.effects.values) - set(names))
-        if lost:
+        if lost := sorted(set(result.found.effects.values) - set(names)):
             what = f"{result.file}: it holds an effect beside the geometry ('{lost[0]}') that the problem does not have"
             raise CasacalError(what, "Give the problem that it was calibrated with, or calibrate again")
         for effect in model.terms:
             away |= effect.away(Site(problem.robot, problem.instrument))
         away |= {name: value for name, value in result.found.effects.usual.items() if name in away}
     covariance, known = all_motion(result)
-    places = {name: j for j, name in enumerate(known)}
-    at = [i for i, name in enumerate(names) if name in places]
-    index = [places[names[i]] for i in at]
-    return Moved(
-        model,
-        local_coordinates(result, of=problem),
-        at,
-        [names[i] for i in at],
-        covariance[np.ix_(index, index)],
-        None if effects is None else np.array([effects[1][names[i]] for i in at]),
-        np.array(list(away.values())),
-        row_constants(result, problem),
-    )
+    at = [i for i, name in enumerate(names) if name in known]
+    found = [names[i] for i in at]
+    index = [known.index(name) for name in found]
+    off = None if effects is None else np.array([effects[1][name] for name in found])
+    z, constants = local_coordinates(result, of=problem), row_constants(result, problem)
+    elsewhere = np.array(list(away.values()))
+    return Moved(model, z, at, found, covariance[np.ix_(index, index)], off, elsewhere, constants)
 
 
 @dataclass(frozen=True)
@@ -91,19 +83,15 @@ class RowZeros:
         if labels is not None:
             prior = float(instrument.unknowns[probe.zero].prior_stds[0])
             return RowZeros([f"{probe.zero}.{label}" for label in labels], probe.sign, prior)
-        if probe.column in joints.columns:
-            what = f"The dial was set to zero anew for each {probe.zero_label}, and the rows do not say for which"
-            fix = f"Add the column '{probe.zero_label}', or leave out the reading, or ask for the flange"
-            raise CasacalError(what, fix)
-        return None
+        if probe.column not in joints.columns:
+            return None
+        what = f"The dial was set to zero anew for each {probe.zero_label}, and the rows do not say for which"
+        fix = f"Add the column '{probe.zero_label}', or leave out the reading, or ask for the flange"
+        raise CasacalError(what, fix)
 
 
 def position_stds(
-    result: CalibratedArm,
-    data: Array,
-    frame: str,
-    zeros: RowZeros | None,
-    told: TellingColumns = NOTHING,
+    result: CalibratedArm, data: Array, frame: str, zeros: RowZeros | None, told: TellingColumns = NOTHING
 ) -> Array:
     """Standard deviation (N,) of the position, mm, all axes together, apart from the position of the base.
 
@@ -115,39 +103,23 @@ def position_stds(
     names, n = arm.model.names, joints.shape[1]
     data = whole_rows(data, n, names, told.columns, arm.elsewhere)
     joints = whole_rows(joints, n, names, NOTHING_TOLD, arm.elsewhere)
-    if zeros is None:
-        stds = _stds(arm.covariance, _field(arm, data, frame), _field(arm, joints, frame), arm.off)
-        return np.hypot(stds, _by_columns(arm, data, frame, told.deviations))
-    found = np.zeros(len(data))
-    off = None if arm.off is None else np.append(arm.off, 0.0)
+    squares, sign = np.zeros(len(data)), 0 if zeros is None else zeros.sign
     whole, known = all_motion(result)
-    for name in dict.fromkeys(zeros.names):  # the zero as well as the result knows it, or else as its prior does
-        at = [known.index(each) for each in (*arm.names, name) if each in known]
-        covariance = np.diag([*np.zeros(len(arm.names)), zeros.prior_std**2])
-        covariance[: len(at), : len(at)] = whole[np.ix_(at, at)]
-        rows = np.array(zeros.names) == name
-        there, workspace = (_field(arm, each, frame, zeros.sign) for each in (data[rows], joints))
-        found[rows] = _stds(covariance, there, workspace, off)
-    return np.hypot(found, _by_columns(arm, data, frame, told.deviations))
-
-
-def _by_columns(arm: Moved, data: Array, frame: str, deviations: Mapping[str, float]) -> Array:
-    """How far (N,) positions are off, mm RMS, where columns stand at their means that may deviate by so much."""
-    batch, squares, n = arm.model.batch, np.zeros(len(data)), data.shape[1] - len(arm.model.names)
-
-    def positions(rows: Array) -> Array:
-        found = (batch.tip if frame == "tip" else batch.pose)(arm.z, arm.constants, rows)[0]
-        return np.asarray(found if frame == "tip" else stacked_poses(found)[:, :3, 3])
-
-    for name, deviation in deviations.items():
+    workspace = _field(arm, joints, frame, sign)
+    for zero in [None] if zeros is None else dict.fromkeys(zeros.names):
+        covariance, off, rows = arm.covariance, arm.off, np.ones(len(data), dtype=bool)
+        if zeros is not None:  # a dial's zero as well as the result knows it, or else as its prior does
+            at = [known.index(each) for each in (*arm.names, zero) if each in known]
+            covariance = np.diag([*np.zeros(len(arm.names)), zeros.prior_std**2])
+            covariance[: len(at), : len(at)] = whole[np.ix_(at, at)]
+            off, rows = None if arm.off is None else np.append(arm.off, 0.0), np.array(zeros.names) == zero
+        moves = up_to_base(*_field(arm, data[rows], frame, sign), *workspace)
+        squares[rows] = (tip_stds(covariance, moves, off) ** 2).sum(axis=1)
+    for name, deviation in told.deviations.items():
         moved = data.copy()
-        moved[:, n + list(arm.model.names).index(name)] += deviation
-        squares += ((positions(moved) - positions(data)) ** 2).sum(axis=1)
+        moved[:, n + list(names).index(name)] += deviation
+        squares += ((_field(arm, moved, frame)[1] - _field(arm, data, frame)[1]) ** 2).sum(axis=1)
     return np.sqrt(squares)
-
-
-def _stds(covariance: Array, there: tuple[Array, Array], workspace: tuple[Array, Array], off: Array | None) -> Array:
-    return np.asarray(np.linalg.norm(tip_stds(covariance, up_to_base(*there, *workspace), off), axis=1))
 
 
 def _field(arm: Moved, rows: Array, frame: str, sign: int = 0) -> tuple[Array, Array]:

@@ -65,10 +65,8 @@ class Targets(Value):
         if poses.shape[1:] != (4, 4) or not np.isfinite(poses).all():
             raise CasacalError(f"Poses came with the shape {poses.shape}", "Give finite transforms (N, 4, 4) in mm")
         turns = poses[:, :3, :3]
-        if (
-            not np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3), atol=UNIT_LENGTH)
-            or (np.linalg.det(turns) < 0).any()
-        ):
+        orthonormal = np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3), atol=UNIT_LENGTH)
+        if not orthonormal or (np.linalg.det(turns) < 0).any():
             raise CasacalError("A target's rotation is no rotation", "Give orthonormal, right-handed transforms")
         text = tuple(" ".join(f"{value:.9g}" for value in pose[:3].ravel()) for pose in poses)
         lines = tuple(range(1, len(poses) + 1))
@@ -83,8 +81,7 @@ def read_targets(path: str | Path, source: ProblemFile | Problem) -> Targets:
     """
     if not isinstance(path, (str, Path)):
         raise CasacalError(f"Got {came(path)} as the path of targets", "Give a path")
-    if isinstance(source, Problem):
-        source = ProblemFile.of(source)
+    source = ProblemFile.of(source) if isinstance(source, Problem) else source
     if not isinstance(source, ProblemFile):
         raise CasacalError(f"Got {came(source)} as the problem", "Give a Problem, or what load_problem returns")
     return _of_table(read_any_table(path), source)
@@ -119,19 +116,9 @@ def _of_table(table: Table, source: ProblemFile) -> Targets:
     joints = Samples.from_table(table, Layout(asked.joints, EMPTY)).joints if jointed else None
     layout = Layout(asked.joints if jointed else (), POSE if posed else EMPTY, further=asked.further)
     text = tuple(",".join(row) for row in table.rows)
-    poses = _poses(table, layout) if posed else None
     extra = FrozenMapping(read_further(table.columns, layout))
-    return Targets(joints, poses, table.lines, text, table.file, table.sha256, extra)
-
-
-def rows_with(targets: Targets, which: NDArray[np.intp], joints: Array) -> Samples:
-    """Joint values (M, n) for some targets (M,), with the further columns of these."""
-    lines = tuple(targets.lines[i] for i in which.tolist())
-    return Samples(joints, {}, {}, lines, taken_from(targets.extra, which), targets.file, targets.sha256)
-
-
-def _poses(table: Table, layout: Layout) -> tuple[Array, Array]:
-    """Positions and rotations of a table's poses."""
+    if not posed:
+        return Targets(joints, None, table.lines, text, table.file, table.sha256, extra)
     found = match_columns(table.columns, layout)
     numbers = {name: np.array(table.numbers(column)) * factor for name, (column, factor) in found.items()}
     positions, wxyz = (np.column_stack([numbers[name] for name in part]) for part in (PLACE, QUATERNION))
@@ -139,7 +126,13 @@ def _poses(table: Table, layout: Layout) -> tuple[Array, Array]:
     for i in np.flatnonzero(np.abs(lengths - 1) > UNIT_LENGTH)[:1]:
         fix = "Give a unit quaternion qw,qx,qy,qz"
         raise SamplesError(table.file, f"the quaternion has the length {lengths[i]:.6g}", fix, line=table.lines[i])
-    return positions, turns_of(wxyz)
+    return Targets(joints, (positions, turns_of(wxyz)), table.lines, text, table.file, table.sha256, extra)
+
+
+def rows_with(targets: Targets, which: NDArray[np.intp], joints: Array) -> Samples:
+    """Joint values (M, n) for some targets (M,), with the further columns of these."""
+    lines = tuple(targets.lines[i] for i in which.tolist())
+    return Samples(joints, {}, {}, lines, taken_from(targets.extra, which), targets.file, targets.sha256)
 
 
 class Outcome(Enum):
@@ -174,9 +167,9 @@ class Rounding:
         unit, turn = 10.0**-self.decimals, 180 / math.pi if self.degrees else 1.0
         factors = np.where(arm.robot.revolute, turn, 1.0)  # from rad and mm to what is written
         lower, upper = (limit * factors for limit in arm.robot.limits)
-        written = np.round(joints * factors, self.decimals)
-        written = np.where((written > upper + 1e-9 * unit) & (joints * factors <= upper), written - unit, written)
-        written = np.where((written < lower - 1e-9 * unit) & (joints * factors >= lower), written + unit, written)
+        exact, written = joints * factors, np.round(joints * factors, self.decimals)
+        written -= unit * ((written > upper + 1e-9 * unit) & (exact <= upper))
+        written += unit * ((written < lower - 1e-9 * unit) & (exact >= lower))
         return np.asarray(np.round(written, self.decimals) / factors)
 
 
@@ -189,9 +182,7 @@ class Compensation(Value):
     correction_mm: miss at `start`, which the correction removes. correction: largest joint motion from `start`, rad, a
     sliding joint in mm over 300. A row that is not reached holds the nearest joint values within that motion, or its
     start where that would be a jump; NaN for a pose that no start was found for. expected_mm: standard deviation of the
-    position that is left, apart from the position of the base. missing: by the words of an effect that columns tell,
-    those of them that the targets lack, so that it is not corrected. beyond: a sentence for each such column that is
-    far from what it was in the fitted rows.
+    position that is left, apart from the position of the base. missing, beyond: as of a `Prediction`.
     """
 
     targets: Targets

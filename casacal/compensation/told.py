@@ -24,7 +24,7 @@ amounts of a file may be, but for none at all."""
 
 @dataclass(frozen=True, eq=False)
 class TellingColumns:
-    """What rows tell of the effects that are corrected by columns.
+    """Values of the columns that tell effects, for effects that are corrected by columns.
 
     columns: by name in the row model, each (N,); their means in the fitted rows where these rows lack them.
     missing: by an effect's words the columns that these rows lack. beyond: a sentence for each column with amounts far
@@ -46,10 +46,9 @@ class TellingColumns:
         columns, lacking = dict[str, Array](), dict[str, tuple[str, ...]]()
         away, beyond = dict[str, float](), list[str]()
         for effect in effects_of(arm.used):
-            absent = tuple(name for name in further.get(effect.key, ()) if name not in rows.extra)
             if effect.key not in further:
                 continue
-            if absent:
+            if absent := tuple(name for name in further[effect.key] if name not in rows.extra):
                 lacking[effect.words] = absent
                 for name in set(effect.columns(site)) & set(said.mean):
                     columns[name] = np.full(len(rows), said.mean[name])
@@ -65,11 +64,7 @@ NOTHING = TellingColumns(NOTHING_TOLD)
 
 
 def _beyond(rows: Samples, amounts: Mapping[str, Array], ranges: Mapping[str, tuple[float, float]]) -> list[str]:
-    """A sentence for each of an effect's columns (N,) that is far from its range in the fitted rows.
-
-    The effect is proportional to its columns, which share a unit: the span is the largest of theirs, zero included.
-    Results from before ranges were kept have none. Raises SamplesError for an amount that is out of all proportion.
-    """
+    """A sentence for each column (N,) of an effect far from its fitted range; SamplesError if out of all proportion."""
     known = {name: ranges[name] for name in amounts if name in ranges}
     span = max((max(high, 0.0) - min(low, 0.0) for low, high in known.values()), default=0.0)
     said = []
@@ -77,10 +72,8 @@ def _beyond(rows: Samples, amounts: Mapping[str, Array], ranges: Mapping[str, tu
         values, fitted = amounts[name], f"the {low:g} to {high:g} of the fitted rows"
         away = np.maximum(low - values, values - high)
         fix = "Give it in their unit, such as kg and not g, or Nm and not mNm; or calibrate with such rows"
-        good = ((away <= MOST_SPANS * span) | (span == 0))[
-            :, None
-        ]  # of one that was always zero nothing is in proportion
-        refuse_unless(good, rows, (name,), values[:, None], f"is out of all proportion to {fitted}", fix)
+        good = (away <= MOST_SPANS * span) | (span == 0)  # of one that was always zero nothing is in proportion
+        refuse_unless(good[:, None], rows, (name,), values[:, None], f"is out of all proportion to {fitted}", fix)
         row = int(np.argmax(away))
         if away[row] > FAR_SPANS * span:
             where = f"warning: {name} is {values[row]:g} on line {int(rows.lines[row])}"
@@ -97,10 +90,7 @@ def _beyond(rows: Samples, amounts: Mapping[str, Array], ranges: Mapping[str, tu
 def whole_rows(
     first: Array, joints: int, names: Sequence[str], told: Mapping[str, Array], elsewhere: Array | float = 0.0
 ) -> Array:
-    """Whole rows (N, n + k) of a row model with k columns, of which the first (N, m) are given.
-
-    told: columns (N,) by name, in their places. elsewhere: what the others hold (k,).
-    """
+    """Rows (N, n + k) of a row model: the first columns (N, m), told ones (N,) by name, and `elsewhere` in others."""
     rows = np.zeros((len(first), joints + len(names)))
     rows[:, joints:] = elsewhere
     rows[:, : first.shape[1]] = first
@@ -111,12 +101,12 @@ def whole_rows(
 
 def told_notes(arm: CalibratedArm, missing: Mapping[str, tuple[str, ...]], beyond: Sequence[str]) -> list[str]:
     """What the columns of rows corrected, which are far beyond the fitted ones, and what they lack, a sentence each."""
-    words = [words for key, words in arm.found.called.items() if key in arm.found.effects.further]
-    done = listed([each for each in words if each not in missing])
-    said = f"Corrected by columns of the rows: {done}."
+    found = arm.found
+    told = [words for key, words in found.called.items() if key in found.effects.further]
+    done = listed([words for words in told if words not in missing])
     lacking = [
         f"Without {listed(names)}, {words} is corrected as in the fitted rows on average, and what rows differ by "
         "counts as an error; with them, each is corrected by its own."
         for words, names in missing.items()
     ]
-    return [*[said] * bool(done), *beyond, *lacking]
+    return [*([f"Corrected by columns of the rows: {done}."] if done else []), *beyond, *lacking]

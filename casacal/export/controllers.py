@@ -7,7 +7,6 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -34,10 +33,10 @@ STEPS = 5
 class ZeroCorrections:
     """Corrections (n,; rad, mm) in the controller's sign, and what they leave.
 
-    values: where the controller shows q, the calibrated arm stands as the drawn one would at q + values. So a target t
-        is met by sending t - values; or by changing the controller's zeros so that it shows q + values where it
-        showed q. before, after: distance (mm RMS) between the two without and with them, over the workspace, of
-        the flange's origin and of three points `LEVER` from it along its axes.
+    values: where the controller shows q, the calibrated arm stands as the drawn one would at q + values. A target t is
+    met by sending t - values, or by changing the controller's zeros so that it shows q + values. before, after:
+    distance (mm RMS) between the two without and with them, over the workspace, of the flange's origin and of three
+    points `LEVER` from it along its axes.
     """
 
     values: Array
@@ -55,51 +54,43 @@ def zero_corrections(result: CalibratedArm) -> ZeroCorrections:
     result = arm_from(result)
     robot = result.source.problem.robot
     q = ca.SX.sym("q", len(robot.axes))
-    drawn, true = (_points(ca.SX(robot.pose(arm_values(result, nominal=nominal), q))) for nominal in (True, False))
+    poses = (ca.SX(robot.pose(arm_values(result, nominal=nominal), q)) for nominal in (True, False))
+    drawn, true = (ca.vertcat(p[:3, 3], *(p[:3, 3] + LEVER * p[:3, k] for k in range(3))) for p in poses)
     joints = workspace_joints(robot)
     count = len(joints)
     evaluate = ca.Function("points", [q], [drawn, ca.jacobian(drawn, q)]).map(count)
     target = np.asarray(ca.Function("points", [q], [true]).map(count)(joints.T)).T
-    values = np.zeros(len(robot.axes))
-    misses = []
+    values, misses = np.zeros(len(robot.axes)), []
     for _ in range(STEPS):  # Gauss-Newton on corrections of a degree or less: quadratic at once
         points, slopes = evaluate((joints + values).T)
         error = (target - np.asarray(points).T).ravel()
-        misses.append(error)
+        misses.append(math.sqrt(float((error**2).sum()) / (4 * count)))
         slope = np.asarray(slopes).reshape(12, count, -1).transpose(1, 0, 2).reshape(12 * count, -1)
         values = values + np.linalg.lstsq(slope, error, rcond=1e-9)[0]
-    rms = [math.sqrt(float((error**2).sum()) / (4 * count)) for error in (misses[0], misses[-1])]
-    return ZeroCorrections(values, rms[0], rms[1])
+    return ZeroCorrections(values, misses[0], misses[-1])
 
 
 def zeros_text(result: CalibratedArm) -> str:
     """Zero corrections as CSV, degrees (mm where a joint slides), with what they can and cannot express."""
     result = arm_from(result)
-    found = zero_corrections(result)
-    axes = result.source.problem.robot.axes
+    found, axes = zero_corrections(result), result.source.problem.robot.axes
     slides = any(joint.kind == "prismatic" for joint in axes)
-    lines = [f"# {line}" for line in remark(result, form="zeros")]
-    lines += [
-        f"# {MARK}where the controller shows q, the arm is where the drawn arm would be at q + correction. Do one of "
-        f"these, never both:",
-        f"# {MARK}(1) subtract each correction from the joint values of every target, and leave the zeros as they are",
-        f"# {MARK}(2) change the controller's zeros so that, at rest, each joint shows its value + correction, and "
-        "leave the targets as they are",
-        f"# {MARK}the calibration moves the flange by {found.before:.3f} mm RMS over the workspace (its origin and "
-        f"points {LEVER:g} mm from it)",
-        f"# {MARK}zero offsets express {100 * found.share:.0f} % of its mean square; {found.after:.3f} mm RMS remain",
-        "joint,correction_deg" + (",correction_mm" if slides else ""),
+    said = [
+        "where the controller shows q, the arm is where the drawn arm would be at q + correction. Do one of these, "
+        "never both:",
+        "(1) subtract each correction from the joint values of every target, and leave the zeros as they are",
+        "(2) change the controller's zeros so that, at rest, each joint shows its value + correction, and leave the "
+        "targets as they are",
+        f"the calibration moves the flange by {found.before:.3f} mm RMS over the workspace (its origin and points "
+        f"{LEVER:g} mm from it)",
+        f"zero offsets express {100 * found.share:.0f} % of its mean square; {found.after:.3f} mm RMS remain",
     ]
+    lines = [f"# {line}" for line in (*remark(result, form="zeros"), *(MARK + line for line in said))]
+    lines.append("joint,correction_deg" + (",correction_mm" if slides else ""))
     for i, (joint, value) in enumerate(zip(axes, found.values, strict=True), 1):
-        turns = joint.turns
-        cells = [str(i), f"{math.degrees(value) + 0.0:.6f}" if turns else ""]
-        lines.append(",".join(cells + (["" if turns else plain(round(value, 6))] if slides else [])))
+        cells = [str(i), f"{math.degrees(value) + 0.0:.6f}"] if joint.turns else [str(i), "", plain(round(value, 6))]
+        lines.append(",".join([*cells, ""] if joint.turns and slides else cells))
     return "\n".join(lines) + "\n"
-
-
-def _points(pose: ca.SX) -> ca.SX:
-    """The flange's origin and three points along its axes (12), mm."""
-    return ca.vertcat(pose[:3, 3], *(pose[:3, 3] + LEVER * pose[:3, k] for k in range(3)))
 
 
 def roll_pitch_yaw(matrix: Array, near: Sequence[float] = (0.0, 0.0, 0.0)) -> tuple[float, float, float]:
@@ -112,14 +103,9 @@ def roll_pitch_yaw(matrix: Array, near: Sequence[float] = (0.0, 0.0, 0.0)) -> tu
     pitch = math.atan2(-matrix[2, 0], upright)
     c, s = math.cos(yaw), math.sin(yaw)
     roll = math.atan2(s * matrix[0, 2] - c * matrix[1, 2], c * matrix[1, 1] - s * matrix[0, 1])
-    twins = ((roll, pitch, yaw), (roll + math.pi, math.pi - pitch, yaw + math.pi))
-    turned = [_wrapped(twin, near) for twin in twins]
-    return min(turned, key=lambda angles: sum((a - b) ** 2 for a, b in zip(angles, near, strict=True)))
-
-
-def _wrapped(angles: Sequence[float], near: Sequence[float]) -> tuple[float, float, float]:
-    """Angles less whole turns, each within half a turn of `near`."""
-    x, y, z = (a - 2 * math.pi * round((a - b) / (2 * math.pi)) for a, b in zip(angles, near, strict=True))
+    twins = np.array([(roll, pitch, yaw), (roll + math.pi, math.pi - pitch, yaw + math.pi)])
+    turned = twins - math.tau * np.round((twins - near) / math.tau)  # each within half a turn of `near`
+    x, y, z = turned[np.argmin(((turned - near) ** 2).sum(axis=1))].tolist()
     return x, y, z
 
 
@@ -129,12 +115,9 @@ JOINTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 def ur_kinematics_text(result: CalibratedArm) -> str:
     """Origins of the six joints in the frame before, m and rad, as YAML; each joint turns about its own z.
 
-    Frames stay beside the nominal ones: lengths are not re-seated onto common normals, which parallel axes would
-    throw metres away. What stands behind the last joint has no place in this format and is said in a comment.
-    `hash` is made from the numbers; a driver that compares it with the controller's own says that they differ.
-
-    Raises CasacalError for an arm that is no 6R arm with three parallel axes from the second on.
-
+    Frames stay beside the nominal ones, as common normals of parallel axes would throw lengths metres away. A frame
+    behind the last joint is said in a comment. `hash` is made from the numbers. Raises CasacalError for an arm that is
+    no 6R arm with three parallel axes from the second on.
     """
     result = arm_from(result)
     robot = result.source.problem.robot
@@ -146,8 +129,10 @@ def ur_kinematics_text(result: CalibratedArm) -> str:
     conventions = arm.conventions or Conventions.plain(6)
     if not np.array_equal(conventions.matrix, np.eye(6)):
         raise CasacalError(f"'{name}' has joint signs or coupling, which this format does not know", fix)
-    if isinstance(arm, UrdfChain) and not _is_plain(arm):
-        raise CasacalError(f"'{arm.name}' has fixed joints between its joints, or axes that are not z", fix)
+    if isinstance(arm, UrdfChain):
+        kinds = "".join("f" if joint.kind == "fixed" else "m" for joint in arm.chain).strip("f")
+        if "f" in kinds or any(joint.axis != (0.0, 0.0, 1.0) for joint in arm.moving):
+            raise CasacalError(f"'{arm.name}' has fixed joints between its joints, or axes that are not z", fix)
     if not _is_built_like_one(_origins(arm, arm_values(result, nominal=True), conventions)[0]):
         what = f"'{name}' is not built like a UR, whose axes 2, 3 and 4 are parallel and the others at right angles"
         raise CasacalError(what, fix)
@@ -163,30 +148,18 @@ def ur_kinematics_text(result: CalibratedArm) -> str:
     block = []
     for joint, origin in zip(JOINTS, origins, strict=True):
         values = [*(origin[:3, 3] / 1000), *roll_pitch_yaw(origin[:3, :3])]
-        block.append(f"  {joint}:")
         named = zip(("x", "y", "z", "roll", "pitch", "yaw"), values, strict=True)
-        block += [f"    {key}: {_fixed(value)}" for key, value in named]
+        block += [f"  {joint}:", *(f"    {key}: {_fixed(value)}" for key, value in named)]
     digest = hashlib.sha256("\n".join(block).encode()).hexdigest()[:16]
     return "\n".join([*lines, "kinematics:", *block, f"  hash: casacal_{digest}"]) + "\n"
 
 
 def _origins(arm: DHTable | UrdfChain, p: Any, conventions: Conventions) -> tuple[list[Array], Array]:
     """Origins (4x4, mm) of the joints, each in the frame before, and what stands behind the last one."""
-    if isinstance(arm, DHTable):
-        return _of_table(arm.at(p), conventions)
-    # fixed joints before the first and behind the last moving one are the description's own
-    turns = [np.array(rotate_z(offset), dtype=np.float64) for offset in conventions.offsets]
-    return [origin @ turn for origin, turn in zip(arm.origins_at(p), turns, strict=True)], np.eye(4)
-
-
-def _is_plain(arm: UrdfChain) -> bool:
-    """Whether no fixed joint stands between others, and all turn about z."""
-    kinds = "".join("f" if joint.kind == "fixed" else "m" for joint in arm.chain)
-    return "f" not in kinds.strip("f") and all(joint.axis == (0.0, 0.0, 1.0) for joint in arm.moving)
-
-
-def _of_table(table: DHTable, conventions: Conventions) -> tuple[list[Array], Array]:
-    """The same of a DH table: what lies between one axis and the next, up to the turn of the joint."""
+    if isinstance(arm, UrdfChain):  # fixed joints before the first and behind the last moving one are its own
+        turns = [np.array(rotate_z(offset), dtype=np.float64) for offset in conventions.offsets]
+        return [origin @ turn for origin, turn in zip(arm.origins_at(p), turns, strict=True)], np.eye(4)
+    table = arm.at(p)
     beta = dict(zip(table.parallel, table.beta, strict=True))
     origins, rest = [], chain()
     for i, offset in enumerate(conventions.offsets):
@@ -202,13 +175,8 @@ def _of_table(table: DHTable, conventions: Conventions) -> tuple[list[Array], Ar
 
 def _is_built_like_one(origins: list[Array]) -> bool:
     """Whether the drawn axes are a UR's: 2, 3 and 4 parallel, the others at right angles."""
-    frame, axes = np.eye(4), []
-    for origin in origins:
-        frame = frame @ origin
-        axes.append(frame[:3, 2])
-    crossed = [abs(float(one @ two)) for one, two in pairwise(axes)]
-    wanted = [0, 1, 1, 0, 0]
-    return all(abs(math.acos(min(c, 1.0)) - math.acos(w)) <= NEARLY for c, w in zip(crossed, wanted, strict=True))
+    crossed = np.array([abs(origin[2, 2]) for origin in origins[1:]])  # cosines between each axis and the next
+    return bool((np.abs(np.arccos(np.minimum(crossed, 1.0)) - np.arccos([0, 1, 1, 0, 0])) <= NEARLY).all())
 
 
 def _fixed(value: float, digits: int = 12) -> str:
@@ -222,12 +190,9 @@ ATTRIBUTE = re.compile(rb"""\s([\w:.-]+)\s*=\s*("[^"]*"|'[^']*')""")
 def urdf_text(result: CalibratedArm, source: str | Path | None = None) -> str:
     """The URDF with the calibrated origins; every other byte is that of the source, so it carries no remark.
 
-    A number that is the same to twelve digits keeps its text; where a joint has no <origin> and needs one, it is put
-    behind the joint's start tag. source: the URDF; None takes the text that the result holds, else the file of that
-    name beside the problem.
-
-    Raises CasacalError for robots that `Robot.from_urdf` did not build, and for a source that is not the one the
-    calibration began with.
+    A number that is the same to twelve digits keeps its text. source: the URDF; None takes the text that the result
+    holds, else the file of that name beside the problem. Raises CasacalError for robots that `Robot.from_urdf` did not
+    build, and for a source that is not the one the calibration began with.
     """
     result = arm_from(result)
     arm = result.source.problem.robot.arm
@@ -238,10 +203,9 @@ def urdf_text(result: CalibratedArm, source: str | Path | None = None) -> str:
     joints, origins = _places(data)
     edits: list[tuple[int, int, bytes]] = []
     for joint, new in zip(arm.moving, arm.origins_at(arm_values(result)), strict=True):
-        old = origin_matrix(joint)
-        changed: dict[str, tuple[float, ...]] = {}
+        old, changed = origin_matrix(joint), dict[str, tuple[float, ...]]()
         if not np.allclose(new[:3, 3], old[:3, 3], rtol=0, atol=1e-9):
-            changed["xyz"] = tuple(float(v) for v in new[:3, 3] / MM)
+            changed["xyz"] = tuple((new[:3, 3] / MM).tolist())
         if not np.allclose(new[:3, :3], old[:3, :3], rtol=0, atol=1e-12):
             changed["rpy"] = roll_pitch_yaw(new[:3, :3], joint.rpy)
         if changed:
@@ -262,33 +226,30 @@ def _source_text(result: CalibratedArm, arm: UrdfChain, source: str | Path | Non
     if [joint.name for joint in there.chain] != [joint.name for joint in arm.chain]:
         raise CasacalError(f"{path}: the joints between base and tip are not those of the calibrated arm", fix)
     for one, two in zip(there.chain, arm.chain, strict=True):
-        same = (one.kind, one.axis) == (two.kind, two.axis)
-        if not same or not np.allclose((one.xyz, one.rpy), (two.xyz, two.rpy), rtol=0, atol=1e-9):
+        moved = not np.allclose((one.xyz, one.rpy), (two.xyz, two.rpy), rtol=0, atol=1e-9)
+        if moved or (one.kind, one.axis) != (two.kind, two.axis):
             raise CasacalError(f"{path}: joint '{one.name}' is not as it was when the calibration began", fix)
-    data = path.read_bytes()
     try:
-        data.decode("utf-8")
+        return path.read_bytes().decode("utf-8").encode("utf-8")
     except UnicodeDecodeError:
         raise CasacalError(f"{path}: this is not UTF-8", "Save it as UTF-8; then only origins are edited") from None
-    return data
 
 
 def _edits(
     data: bytes, joint: int, start: int | None, changed: dict[str, tuple[float, ...]]
 ) -> list[tuple[int, int, bytes]]:
-    """What to replace, as (start, end, text), so that the origin that begins there, if any, has other xyz or rpy."""
+    """Replacements (start, end, text) that give the origin at `start` other xyz or rpy; at None it is added."""
     if start is None:
         at = _tag_end(data, joint)
-        indent = re.match(rb"\s*", data[at:])
+        indent = data[at : len(data) - len(data[at:].lstrip())]
         said = b"".join(b' %s="%s"' % (key.encode(), _numbers(values)) for key, values in changed.items())
-        return [(at, at, (indent.group(0) if indent else b"") + b"<origin" + said + b"/>")]
-    tag = data[start : _tag_end(data, start)]
-    edits = []
+        return [(at, at, indent + b"<origin" + said + b"/>")]
+    tag, edits = data[start : _tag_end(data, start)], []
+    places = {found[1].decode(): found.span(2) for found in ATTRIBUTE.finditer(tag)}
     for key, values in changed.items():
-        found = [m for m in ATTRIBUTE.finditer(tag) if m.group(1) == key.encode()]
-        if found:
-            first, last = found[0].span(2)
-            edits.append((start + first + 1, start + last - 1, _in_place(tag[first + 1 : last - 1], values)))
+        if key in places:
+            first, last = places[key][0] + 1, places[key][1] - 1  # inside the quotes
+            edits.append((start + first, start + last, _in_place(tag[first:last], values)))
         else:
             at = start + len(b"<origin")
             edits.append((at, at, b' %s="%s"' % (key.encode(), _numbers(values))))
@@ -299,14 +260,10 @@ def _in_place(text: bytes, values: tuple[float, ...]) -> bytes:
     """Three numbers in the blanks of the old ones; a number that is the same keeps its text."""
     if b"&" in text:  # written as character references: all afresh
         return _numbers(values)
-    given = iter(values)
-
-    def number(found: re.Match[bytes]) -> bytes:
-        value = next(given)
-        same = math.isclose(float(found.group(0)), value, rel_tol=1e-12, abs_tol=1e-12)
-        return found.group(0) if same else plain(value).encode()
-
-    return re.sub(rb"\S+", number, text)
+    for found, value in reversed(list(zip(re.finditer(rb"\S+", text), values, strict=True))):
+        if not math.isclose(float(found[0]), value, rel_tol=1e-12, abs_tol=1e-12):
+            text = text[: found.start()] + plain(value).encode() + text[found.end() :]
+    return text
 
 
 def _numbers(values: tuple[float, ...]) -> bytes:

@@ -71,23 +71,19 @@ def dh_text(result: CalibratedArm, *, toml: bool = False) -> str:
     place of `d`. toml: TOML in place of CSV. Raises CasacalError for other robots.
     """
     result = arm_from(result)
-    arm = result.source.problem.robot.arm
-    if not isinstance(arm, DHTable):
-        fix = other_forms(result.source.problem.robot)
-        raise CasacalError(f"'{result.source.problem.robot.name}' was not built from a DH table", fix)
-    table = arm.at(arm_values(result))
+    robot = result.source.problem.robot
+    if not isinstance(robot.arm, DHTable):
+        raise CasacalError(f"'{robot.name}' was not built from a DH table", other_forms(robot))
+    table = robot.arm.at(arm_values(result))
     table = replace(table, alpha=tuple(math.remainder(twist, math.tau) for twist in table.alpha))  # as files have it
     text = dh_file_text(table, "arm.toml" if toml else "arm.csv")
     return "".join(f"# {line}\n" for line in remark(result, form="dh")) + text
 
 
 def _remarked(text: str, arm: CalibratedArm) -> str:
-    """A URDF with a verdict that its users must know as a comment before its first element, in place of an older one.
-
-    A comment holds no two hyphens.
-    """
+    """A URDF with its remark as a comment before its first element, in place of an older one."""
     text = re.sub(rf"<!-- {MARK}.*?-->\r?\n?", "", text, flags=re.DOTALL)
-    words = "\n".join(remark(arm, form="urdf")).replace("--", "- -")
+    words = "\n".join(remark(arm, form="urdf")).replace("--", "- -")  # a comment holds no two hyphens
     place = re.search(r"<(?=[A-Za-z_])", text)
     assert place is not None
     return f"{text[: place.start()]}<!-- {words} -->\n{text[place.start() :]}"

@@ -30,16 +30,15 @@ def pose_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fal
 
     Raises CasacalError when both nominal and free are asked for, RefusedResultError for a result not to be used.
     """
-    _check(nominal, free)
-    arm = arm_from(arm)
+    arm, said = _begun(arm, nominal, free, force)
     problem = arm.source.problem
     if free:
         return problem.without_terms.symbols_of(0).value_functions["pose"]
     q = ca.SX.sym("q", len(problem.robot.axes))
     if nominal:
         return row_function("pose", [q], [ca.SX(problem.robot.pose(arm_values(arm, nominal=True), q))], ["q"])
-    inputs, name = inputs_of(arm, q), _name("pose", arm, force=force)
-    return row_function(name, [*inputs.values()], [pose_at(arm, *inputs.values())], [*inputs])
+    inputs = inputs_of(arm, q)
+    return row_function(f"pose{said}", [*inputs.values()], [pose_at(arm, *inputs.values())], [*inputs])
 
 
 def told_names(arm: CalibratedArm) -> tuple[str, ...]:
@@ -65,10 +64,7 @@ def _row(arm: CalibratedArm, problem: Problem, q: ca.SX, told: ca.SX | None = No
 
 
 def pose_at(arm: CalibratedArm, q: ca.SX, told: ca.SX | None = None) -> ca.SX:
-    """Flange pose (4x4; mm) of an arm as calibrated at joint values (n; rad, mm), corrected effects included.
-
-    told: what columns tell of effects (k), in the order of `told_names`.
-    """
+    """Flange pose (4x4; mm) as calibrated at joint values (n; rad, mm) and `told` (k), as `told_names` has it."""
     problem = arm.used
     if not problem.terms:
         return ca.SX(problem.robot.pose(arm_values(arm), q))
@@ -82,28 +78,20 @@ def tip_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fals
     nominal, force, errors: as for `pose_function`; ProblemError where there are several instruments. free: what the tip
     depends on of the robot's parameters, the instrument's unknowns and the columns are inputs too, by name.
     """
-    _check(nominal, free)
-    arm = arm_from(arm)
+    arm, said = _begun(arm, nominal, free, force)
     if free:
         return arm.source.problem.without_terms.symbols.value_functions["tip"]
     q = ca.SX.sym("q", len(arm.source.problem.robot.axes))
     problem = arm.source.problem.without_terms if nominal else arm.used
-    inputs, d = {"q": q}, ca.vertcat(q, ca.DM.zeros(len(problem.symbols.columns)))
-    if not nominal:
-        inputs = inputs_of(arm, q)
-        d = _row(arm, problem, **inputs)
+    inputs = {"q": q} if nominal else inputs_of(arm, q)
+    d = ca.vertcat(q, ca.DM.zeros(len(problem.symbols.columns))) if nominal else _row(arm, problem, **inputs)
     z = local_coordinates(arm, nominal=nominal, of=problem)
     tip = problem.symbols.functions["tip"](z, ca.DM(row_constants(arm, problem)), d)
-    name = "tip" if nominal else _name("tip", arm, force=force)
-    return row_function(name, [*inputs.values()], [tip], [*inputs])
+    return row_function(f"tip{said}", [*inputs.values()], [tip], [*inputs])
 
 
 def values_of(
-    arm: CalibratedArm,
-    *,
-    frame: Literal["flange", "tip"] = "flange",
-    nominal: bool = False,
-    force: bool = False,
+    arm: CalibratedArm, *, frame: Literal["flange", "tip"] = "flange", nominal: bool = False, force: bool = False
 ) -> dict[str, Array]:
     """Values by name for the parameters that are free in `pose_function` or, with frame "tip", in `tip_function`.
 
@@ -128,28 +116,24 @@ def values_of(
 
 
 def casadi_text(arm: CalibratedArm) -> str:
-    """The function of `pose_function` as `casadi.Function.load` reads it from a file.
-
-    The file has no room for remarks: a verdict not to use the result is part of the function's name.
-    """
-    arm = arm_from(arm)
-    inputs = inputs_of(arm, ca.SX.sym("q", len(arm.source.problem.robot.axes)))
+    """The function of `pose_function` as `casadi.Function.load` reads it; a denial is part of its name."""
     made = pose_function(arm, force=True)
+    inputs = inputs_of(arm_from(arm), ca.SX.sym("q", made.numel_in(0)))
     made = ca.Function(made.name(), [*inputs.values()], [made(*inputs.values())], [*inputs], ["pose"])
     with tempfile.TemporaryDirectory() as folder:
         made.save(str(Path(folder) / "arm"))
         return (Path(folder) / "arm").read_text(encoding="ascii")
 
 
-def _name(name: str, arm: CalibratedArm, *, force: bool) -> str:
-    """The name of a function of the arm as calibrated; raises RefusedResultError for one not to be used."""
-    arm.check_usable(force=force)
-    return name if arm.denial is None else f"{name}_forced_against_the_verdict"
-
-
-def _check(nominal: bool, free: bool) -> None:
+def _begun(given: CalibratedArm, nominal: bool, free: bool, force: bool) -> tuple[CalibratedArm, str]:
+    """The arm, and what the name of a function of it says of its verdict; refused where it is not to be used."""
     if nominal and free:
         raise CasacalError("Free parameters are neither nominal nor calibrated", "Leave out nominal or free")
+    arm = arm_from(given)
+    if nominal or free:
+        return arm, ""
+    arm.check_usable(force=force)
+    return arm, "" if arm.denial is None else "_forced_against_the_verdict"
 
 
 def _array(matrix: ca.DM) -> Array:
@@ -200,18 +184,18 @@ void {prefix}_step(const double q[{count}],{also} const double target[16], doubl
 
 
 def c_text(result: CalibratedArm, *, prefix: str | None = None) -> str:
-    """Self-contained C99 of the calibrated forward kinematics, its Jacobian and a damped step; see its head comment.
+    """C99 of the calibrated kinematics, its Jacobian and a damped step, in functions whose names begin with a prefix.
 
-    `prefix` begins the names of the functions; by default the problem's name. Raises CasacalError where it is no C
-    name.
+    By default with the problem's name. Raises CasacalError where it is no C name.
     """
     result = arm_from(result)
     if prefix is None:
         plain = re.sub(r"[\W_]+", "_", result.source.name, flags=re.ASCII).strip("_")
         prefix = plain if plain[:1].isalpha() else f"arm_{plain}".rstrip("_")
     if not ca.Function.check_name(f"{prefix}_pose"):
-        fix = "Give a prefix of letters, digits and _"
-        raise CasacalError(f"'{prefix}' cannot begin the name of a C function", fix)
+        raise CasacalError(
+            f"'{prefix}' cannot begin the name of a C function", "Give a prefix of letters, digits and _"
+        )
     functions = c_functions(result, prefix)
     generator = ca.CodeGenerator(f"{prefix}_code", {"with_header": False})
     for function in functions:
@@ -235,17 +219,14 @@ def c_text(result: CalibratedArm, *, prefix: str | None = None) -> str:
 
 def c_functions(result: CalibratedArm, prefix: str) -> list[ca.Function]:
     """Functions behind the C code: q -> pose (16); q -> Jacobian (6 n); q, target, damping -> next (n), error (6)."""
-    robot = result.source.problem.robot
-    count = len(robot.axes)
+    count = len(result.source.problem.robot.axes)
     q, target, damping = ca.SX.sym("q", count), ca.SX.sym("target", 16), ca.SX.sym("damping")
     known = list(inputs_of(result, q).values())
     pose = pose_at(result, *known)
     turn = pose[:3, :3]
     slopes = ca.jacobian(ca.vec(turn), q)
-    spins = []
-    for i in range(count):  # dR/dq R' = [w]
-        cross = ca.mtimes(ca.reshape(slopes[:, i], 3, 3), turn.T)
-        spins.append(ca.vertcat(cross[2, 1] - cross[1, 2], cross[0, 2] - cross[2, 0], cross[1, 0] - cross[0, 1]) / 2)
+    crosses = (ca.mtimes(ca.reshape(slopes[:, i], 3, 3), turn.T) for i in range(count))  # dR/dq R' = [w]
+    spins = [ca.vertcat(w[2, 1] - w[1, 2], w[0, 2] - w[2, 0], w[1, 0] - w[0, 1]) / 2 for w in crosses]
     jacobian = ca.densify(ca.vertcat(ca.jacobian(pose[:3, 3], q), ca.horzcat(*spins)))
     wanted = ca.reshape(target, 4, 4).T
     # orientation error: half the sum of the axes' cross products, Siciliano et al., Robotics (2009), eq (3.85)

@@ -26,12 +26,10 @@ def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
     """
     result = arm_from(result)
     takes = form in TAKES_COLUMNS
-    found, effects = result.found, result.found.effects
-    name = result.source.name
-    by = MADE
+    found, effects, name = result.found, result.found.effects, result.source.name
     if found.method == "truth":
-        return [f"{MARK}the true arm of a simulation of {name}, not a calibration ({by})"]
-    lines = [f"{MARK}{name}, calibrated by {found.method}, {Path(result.file).name}, {by}"]
+        return [f"{MARK}the true arm of a simulation of {name}, not a calibration ({MADE})"]
+    lines = [f"{MARK}{name}, calibrated by {found.method}, {Path(result.file).name}, {MADE}"]
     if not found.converged:
         lines.append(f"{MARK}WARNING, this is not a minimum: {found.status}")
     if (words := result.denial) is not None:

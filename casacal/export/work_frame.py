@@ -11,15 +11,10 @@ import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.arm import (
-    CalibratedArm,
-    covariance_of,
-    local_coordinates,
-    named_covariance,
-    row_constants,
-)
+from casacal.compensation.arm import CalibratedArm, covariance_of, local_coordinates, named_covariance, row_constants
 from casacal.compensation.result_file import arm_from
-from casacal.errors import CasacalError, UnknownNameError
+from casacal.compensation.told import NOTHING_TOLD, whole_rows
+from casacal.errors import CasacalError, refuse_unknown
 from casacal.export.remark import remark
 from casacal.robots.carriers import Facing
 from casacal.uncertainty.workspace import rigid_fields, workspace_joints
@@ -34,11 +29,10 @@ STEP = 1e-6  # of a tilt (rad) or an offset (mm), for slopes
 
 @dataclass(frozen=True, eq=False)
 class WorkFrame(Value):
-    """Where a work object stands in the base frame of the calibrated arm.
+    """A work object's frame `matrix` (4, 4; mm) in the base frame of the calibrated arm.
 
-    matrix: its frame (4, 4; mm). origin_std: standard deviation of its origin, mm, its three axes together, as the arm
-    comes to it, apart from the position of the base. turn_std: of its orientation, rad, likewise. Both are NaN where
-    the result holds none.
+    origin_std, turn_std: standard deviations of its origin (mm) and orientation (rad), three axes together, as the arm
+    comes to it, apart from the position of the base; NaN where the result holds none.
     """
 
     matrix: Array
@@ -99,10 +93,7 @@ def frame_text(
     points: Sequence[str] | None = None,
     force: bool = False,
 ) -> str:
-    """The frame as ABB, FANUC, KUKA and Universal Robots write it, with its standard deviation.
-
-    faces, points, errors: as for `work_frame`. force: a result whose verdict is not to use it, with that verdict.
-    """
+    """The frame of `work_frame` (arguments and errors as there) as ABB, FANUC, KUKA and Universal Robots write it."""
     from scipy.spatial.transform import Rotation
 
     result = arm_from(result)
@@ -137,10 +128,8 @@ Places = Callable[[Array], Array]
 
 def _faces(result: CalibratedArm, labels: Sequence[str]) -> tuple[Places, list[str]]:
     """Three faces, and the names of the unknowns that move them."""
-    known, proposed = result.found.planes, result.found.proposed
-    for label in labels:
-        if label not in known:
-            raise UnknownNameError(f"face of {result.file}", str(label), known)
+    proposed = result.found.proposed
+    refuse_unknown(f"face of {result.file}", labels, result.found.planes)
     plane = result.source.problem.instrument.unknowns.get("plane")
     if not isinstance(plane, Plane):
         raise CasacalError(f"The faces of {result.file} are no planes of the instrument", "Name three points instead")
@@ -163,9 +152,7 @@ def _points(result: CalibratedArm, labels: Sequence[str]) -> tuple[Places, list[
     """Three points, and the names of their coordinates."""
     known = {row.name: row.estimate for row in result.found.parameters}
     labelled = tuple(named[1] for name in known if (named := re.fullmatch(r"point\.(.*)_x", name, re.DOTALL)))
-    for label in labels:
-        if label not in labelled:
-            raise UnknownNameError(f"point of {result.file}", str(label), labelled)
+    refuse_unknown(f"point of {result.file}", labels, labelled)
     names = [f"point.{label}_{axis}" for label in labels for axis in "xyz"]
     found = np.array([known[name] for name in names])
     return lambda moves: (found + moves).reshape(3, 3), names
@@ -176,8 +163,9 @@ def _of_faces(faces: Array) -> Array:
     normals, points = faces[:, :3], faces[:, 3:]
     z, across = normals[0], normals[1] - (normals[1] @ normals[0]) * normals[0]
     if np.linalg.norm(across) < SKEW or abs(np.linalg.det(normals)) < SKEW:
-        fix = "Name three that are at an angle to each other"
-        raise CasacalError("These three faces do not meet in one point", fix)
+        raise CasacalError(
+            "These three faces do not meet in one point", "Name three that are at an angle to each other"
+        )
     return _frame(across, z, np.linalg.solve(normals, (normals * points).sum(axis=1)))
 
 
@@ -191,21 +179,18 @@ def _of_points(points: Array) -> Array:
 
 
 def _base(result: CalibratedArm, origin: Array, count: int) -> Array:
-    """Less how the base shifts (3, mm) at the origin and turns (3, rad) with each unknown (6, count) of the result.
-
-    What counts as a move of the base is the rigid motion that fits those of the tips over the workspace best.
-    """
+    """Less the base's shift (3, mm) at the origin and turn (3, rad) with each unknown of the result: (6, count)."""
+    # the base's move is the rigid motion that fits those of the tips over the workspace best
     problem = result.source.problem.without_terms
     model, joints = problem.model, workspace_joints(problem.robot)
-    rows = np.zeros((len(joints), model.tip_jacobian.numel_in(2)))
-    rows[:, : joints.shape[1]] = joints
+    rows = whole_rows(joints, joints.shape[1], model.names, NOTHING_TOLD)
     local, constants = local_coordinates(result, of=problem), row_constants(result, problem)
     tips, field = model.batch.tip_jacobian(local, constants, rows)
     pairs = covariance_of(result)[1]
-    moved = field.reshape(3 * len(tips), -1)[:, [i for i, _ in pairs]]
-    motion = np.linalg.lstsq(rigid_fields(tips, origin), moved, rcond=None)[0]
+    columns, places = ([pair[k] for pair in pairs] for k in (0, 1))
+    moved = field.reshape(3 * len(tips), -1)[:, columns]
     found = np.zeros((6, count))
-    found[:, [j for _, j in pairs]] = -motion
+    found[:, places] = -np.linalg.lstsq(rigid_fields(tips, origin), moved, rcond=None)[0]
     return found
 
 

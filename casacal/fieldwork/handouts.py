@@ -73,17 +73,16 @@ def approaches(
     """
     probe = problem.instrument.probe
     if probe is None:
-        fix = "Use the plan's CSV"
-        raise CasacalError(f"{type(problem.instrument).__name__} has no plunger that could be drawn back", fix)
-    still = cell_of(problem, cell)
-    samples = route.samples
+        what = f"{type(problem.instrument).__name__} has no plunger that could be drawn back"
+        raise CasacalError(what, "Use the plan's CSV")
+    still, samples = cell_of(problem, cell), route.samples
     arm, readings, tips, axes = drawn_touch(problem, probe, samples)
-    levels = [_above(arm, samples.joints, readings, tips, axes, retreat * times) for times in HIGHER]
-    back = np.isfinite(levels[0]).all(axis=1)
+    every = [_above(arm, samples.joints, readings, tips, axes, retreat * times) for times in HIGHER]
+    back = np.isfinite(every[0]).all(axis=1)
     if not back.any():
         what = f"From no touch can the arm draw back by {retreat:g} mm inside its joint limits"
         raise CasacalError(what, "Give a smaller --retreat")
-    levels = [level[back] for level in levels]
+    levels = [level[back] for level in every]
     chosen, clear = np.zeros(int(back.sum()), dtype=int), np.ones(int(back.sum()), dtype=bool)
     if isinstance(still, Cell):
         stands = above_table(problem.robot, still.table, (clearance and clearance.link_radius) or 0.0)
@@ -95,25 +94,17 @@ def approaches(
     if isinstance(still, Cell):
         places = levels[-1][np.isfinite(levels[-1]).all(axis=1)]
         for k in np.flatnonzero(~clear).tolist():
-            found = _through(is_clear, places, above[k - 1], above[k])
-            if found is not None:
-                via[k], clear[k] = found, True
-
-    def of_all(found: Array) -> Array:
-        whole = np.full((len(samples), *found.shape[1:]), np.nan)
-        whole[back] = found
-        return whole
-
-    return Approaches(of_all(above), of_all(retreat * np.array(HIGHER)[chosen]), of_all(via), of_all(clear) == 1)
-
-
-def _through(clear: Clear, places: Array, start: Array, end: Array) -> Array | None:
-    """A place by which the way is clear, the one with the shortest way first; None where there is none."""
-    ways = np.abs(places - start).max(axis=1) + np.abs(places - end).max(axis=1)
-    for k in np.argsort(ways)[:MOST_PLACES]:
-        if clear(start, places[k]) and clear(places[k], end):
-            return np.asarray(places[k])
-    return None
+            start, end = above[k - 1], above[k]
+            lengths = np.abs(places - start).max(axis=1) + np.abs(places - end).max(axis=1)
+            for place in places[np.argsort(lengths)[:MOST_PLACES]]:  # the shortest way first
+                if is_clear(start, place) and is_clear(place, end):
+                    via[k], clear[k] = place, True
+                    break
+    of_all = np.full((2, *every[0].shape), np.nan)
+    retreats, free = np.full(len(route), np.nan), np.zeros(len(route), dtype=np.bool_)
+    of_all[:, back], free[back] = (above, via), clear
+    retreats[back] = retreat * np.array(HIGHER)[chosen]
+    return Approaches(of_all[0], retreats, of_all[1], free)
 
 
 def _raised(clear: Clear, levels: list[Array], chosen: Index, k: int) -> bool:
@@ -147,9 +138,8 @@ def _is_clear(
         height = local[over, 0]
         if (height < FREE).any() and not (height < -FREE).all():  # wholly behind it, it is another side's matter
             return False
-    if not stands(joints, tips).all():
-        return False
-    return clearance is None or bool(clearance.clear(arm.robot, None, joints, tips).all())
+    free = clearance is None or bool(clearance.clear(arm.robot, None, joints, tips).all())
+    return free and bool(stands(joints, tips).all())
 
 
 def _above(arm: TouchingArm, joints: Array, readings: Array, tips: Array, axes: Array, retreat: float) -> Array:
@@ -168,11 +158,11 @@ class RobotProgram:
     language: Language
     ending: str
     decimals: int
-    head: tuple[str, ...]
-    fast: tuple[str, ...]
-    slow: tuple[str, ...]
-    wait: tuple[str, ...]
-    end: tuple[str, ...]
+    head: tuple[str, str]
+    fast: str
+    slow: str
+    wait: str
+    end: str
 
 
 LONGEST_LABEL = 40  # letters of a label that fit on a pendant: RAPID holds 80 in a string
@@ -182,31 +172,31 @@ PROGRAMS: Mapping[str, RobotProgram] = FrozenMapping(
             RAPID,
             ".mod",
             4,
-            ("MODULE casacal_plan", "  PROC touch_the_plan()"),
-            ("    MoveAbsJ {}\\NoEOffs, v50, fine, tool0;",),
-            ("    MoveAbsJ {}\\NoEOffs, v5, fine, tool0;",),
-            ('    TPWrite "{}";', "    Stop;"),
-            ("  ENDPROC", "ENDMODULE"),
+            ("MODULE casacal_plan\n", "  PROC touch_the_plan()\n"),
+            "    MoveAbsJ {}\\NoEOffs, v50, fine, tool0;\n",
+            "    MoveAbsJ {}\\NoEOffs, v5, fine, tool0;\n",
+            '    TPWrite "{}";\n    Stop;\n',
+            "  ENDPROC\nENDMODULE\n",
         ),
         "krl": RobotProgram(
             KRL,
             ".src",
             4,
-            ("DEF casacal_plan()", "  BAS(#INITMOV, 0)"),
-            ("  BAS(#VEL_PTP, 10)", "  PTP {}"),
-            ("  BAS(#VEL_PTP, 1)", "  PTP {}"),
-            ("  ; {}", "  HALT"),
-            ("END",),
+            ("DEF casacal_plan()\n", "  BAS(#INITMOV, 0)\n"),
+            "  BAS(#VEL_PTP, 10)\n  PTP {}\n",
+            "  BAS(#VEL_PTP, 1)\n  PTP {}\n",
+            "  ; {}\n  HALT\n",
+            "END\n",
         ),
         "urscript": RobotProgram(
             URSCRIPT,
             ".script",
             7,
-            ("def casacal_plan():",),
-            ("  movej({}, a=0.4, v=0.2)",),
-            ("  movej({}, a=0.1, v=0.02)",),
-            ('  popup("{}", blocking=True)',),
-            ("end",),
+            ("def casacal_plan():\n", ""),
+            "  movej({}, a=0.4, v=0.2)\n",
+            "  movej({}, a=0.1, v=0.02)\n",
+            '  popup("{}", blocking=True)\n',
+            "end\n",
         ),
     }
 )
@@ -216,13 +206,13 @@ PROGRAMS: Mapping[str, RobotProgram] = FrozenMapping(
 def program_text(problem: Problem, route: Route, ways: Approaches, language: str, name: str) -> str:
     """A plan as a program: comments, then for each touch a move above it, the touch, a wait, and back.
 
-    name: of the problem. Where no clear way leads to a touch, the program stops before it; from where the arm cannot
-    draw back, it does not go. Raises CasacalError for a
-    robot whose joints the language does not hold, UnknownNameError for a language that there is not.
+    name: of the problem. The program stops before a touch without a clear way, and leaves out one from which the arm
+    cannot draw back. Raises CasacalError for a robot whose joints the language does not hold, UnknownNameError.
     """
     refuse_unknown("language of programs", [language], PROGRAMS)
     form = PROGRAMS[language]
-    form.language.refuse_others(problem.robot, "move", "Use the plan's CSV")
+    spoken, comment = form.language, form.language.comment
+    spoken.refuse_others(problem.robot, "move", "Use the plan's CSV")
     withdrawn = " and the dial withdrawn" if problem.instrument.words.approach else ""
     notes = (
         f"planned by casacal for {printable(name)}; joint values are those that the problem's robot.pose takes",
@@ -230,58 +220,42 @@ def program_text(problem: Problem, route: Route, ways: Approaches, language: str
         f"the cell is known. Try the program slowly, with a hand on the stop{withdrawn}",
         "at each stop take the reading with casacal measure, or write it down; then let the program go on",
     )
-    comments = (line for note in notes for line in in_comments(note))
-    lines = [form.head[0], *(f"  {form.language.comment} {line}" for line in comments), *form.head[1:]]
-
-    def add(part: tuple[str, ...], words: str) -> None:
-        lines.extend(line.format(words) for line in part)
-
-    def written(joints: Array) -> str:
-        return form.language.written(joints, form.decimals)
-
-    add(form.wait, "jog the arm to near the first touch, then let the program go on")  # from wherever it stands
-    labels = list(route.samples.labels.values())
+    comments = [f"  {comment} {line}\n" for note in notes for line in in_comments(note)]
+    # the arm may stand anywhere when the program begins
+    first = form.wait.format("jog the arm to near the first touch, then let the program go on")
+    parts = [form.head[0], *comments, form.head[1], first]
     for k, purpose in enumerate(route.purposes):
-        where = printable(" ".join(label[k] for label in labels)).replace('"', "'")
+        where = printable(" ".join(label[k] for label in route.samples.labels.values())).replace('"', "'")
         if np.isnan(ways.retreat[k]):
-            lines.append(f"  {form.language.comment} touch {k + 1} is left out: the arm cannot draw back from it")
+            parts.append(f"  {comment} touch {k + 1} is left out: the arm cannot draw back from it\n")
             continue
         if not ways.clear[k]:
-            add(form.wait, f"no clear way to touch {k + 1} was found: jog the arm above it, then go on")
-        for place in (ways.via[k], ways.above[k]):
-            if np.isfinite(place).all():
-                add(form.fast, written(place))
-        add(form.slow, written(route.samples.joints[k]))
-        add(form.wait, f"touch {k + 1} {where[:LONGEST_LABEL]} ({purpose})")
-        add(form.slow, written(ways.above[k]))
-    return "\n".join([*lines, *form.end]) + "\n"
+            parts.append(form.wait.format(f"no clear way to touch {k + 1} was found: jog the arm above it, then go on"))
+        on_the_way = (place for place in (ways.via[k], ways.above[k]) if np.isfinite(place).all())
+        parts += [form.fast.format(spoken.written(place, form.decimals)) for place in on_the_way]
+        touch, above = (spoken.written(q, form.decimals) for q in (route.samples.joints[k], ways.above[k]))
+        said = form.wait.format(f"touch {k + 1} {where[:LONGEST_LABEL]} ({purpose})")
+        parts += [form.slow.format(touch), said, form.slow.format(above)]
+    return "".join([*parts, form.end])
 
 
 WIDE, HIGH = 64.0, 46.0  # size of a picture, in its own units
 
 
 def sheet_page(problem: Problem, route: Route, name: str, notes: Sequence[str] = ()) -> str:
-    """HTML of the sheet: one file that needs no other, to be printed from any browser.
-
-    name: of the problem. notes: sentences about the cell, above the touches.
-    """
+    """HTML of the sheet, in one file, of the problem called `name`; notes: sentences on the cell, above the touches."""
     layout, samples, pictures = problem.layout(), route.samples, _pictures(problem, route)
     joints = [f"q{i}{_unit(kind)}" for i, kind in enumerate(layout.joints, 1)]
     expected = [f"{column}, expected{_unit(kind)}" for column, kind in layout.columns.items()]
     read = [f"{column}{_unit(kind)}" for column, kind in layout.columns.items()] or ["touched"]
     rows = []
     for k, purpose in enumerate(route.purposes):
-        picture = [] if pictures is None else [pictures[k]]
         numbers = joints_shown(samples.joints[k], layout)
         numbers += [f"{samples.columns[column][k] * WRITTEN[kind][1]:.2f}" for column, kind in layout.columns.items()]
-        rows.append(
-            {
-                "purpose": purpose,
-                "number": f"{k + 1}{' again' if purpose == 'again' else ''}",
-                "words": [*picture, *(samples.labels[label][k] for label in layout.labels)],
-                "numbers": numbers,
-            }
-        )
+        words: list[str] = [] if pictures is None else [pictures[k]]
+        words += [samples.labels[label][k] for label in layout.labels]
+        number = f"{k + 1}{' again' if purpose == 'again' else ''}"
+        rows.append({"purpose": purpose, "number": number, "words": words, "numbers": numbers})
     titles = ["", *([] if pictures is None else ["posture"]), *layout.labels, *joints, *expected, *read]
     approach = problem.instrument.words.approach
     said = {"robot": problem.robot.name, "name": name, "approach": sentence(approach) if approach else ""}
@@ -300,8 +274,7 @@ def _pictures(problem: Problem, route: Route) -> list[Markup] | None:
     except ProblemError:
         return None
     arms = np.concatenate([nodes, nominal_tips(problem, 0, route.samples)[:, None]], axis=1)
-    side = np.stack([np.hypot(arms[..., 0], arms[..., 1]), arms[..., 2]], axis=-1)
-    top = arms[..., :2]
+    side, top = np.stack([np.hypot(arms[..., 0], arms[..., 1]), arms[..., 2]], axis=-1), arms[..., :2]
     return [_picture([(side[k], side), (top[k], top)]) for k in range(len(arms))]
 
 
@@ -309,8 +282,8 @@ def _picture(views: list[tuple[Array, Array]]) -> Markup:
     """Views side by side, each of one arm in the frame of all."""
     parts = []
     for place, (arm, all_of_them) in enumerate(views):
-        low, high = all_of_them.reshape(-1, 2).min(axis=0), all_of_them.reshape(-1, 2).max(axis=0)
-        unit = max(float((high - low).max()), 1e-9) / (HIGH - 6)
+        low = all_of_them.min(axis=(0, 1))
+        unit = max(float(np.ptp(all_of_them, axis=(0, 1)).max()), 1e-9) / (HIGH - 6)
         x = place * WIDE + 3 + (arm[:, 0] - low[0]) / unit
         y = HIGH - 3 - (arm[:, 1] - low[1]) / unit
         line = "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(x, y, strict=True))

@@ -1,12 +1,11 @@
-"""What an operator types at a session, and what the session says to it, in sentences.
-
-Commands, and touches with their readings in the units that are shown; then the answers.
-"""
+"""Commands and touches as an operator types them at a session, and the session's answers in sentences."""
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -14,11 +13,9 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError
-from casacal.instruments.description import Dimension
-from casacal.measuring.examine import Suspected
 from casacal.measuring.gauges import Gauge
 from casacal.measuring.session import Session
-from casacal.measuring.touch import Touch, refuse_beyond_travel
+from casacal.measuring.touch import Touch, beyond_travel
 from casacal.planning.route import joints_shown
 from casacal.problem.problem import Problem
 from casacal.samples.samples import WRITTEN, Layout
@@ -36,26 +33,18 @@ COMMANDS = (
 NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
 
 
-class Command(NamedTuple):
-    """A word, and the number after it, if any."""
-
-    word: str
-    number: int | None = None
-
-
 class Typed(NamedTuple):
-    """A touch as it was typed: joints (n,; rad, mm), readings in the order of the columns, labels in theirs."""
+    """A touch as it was typed: joints (n,; rad, mm), readings and labels by column."""
 
     joints: Array
-    readings: tuple[float, ...]
-    labels: tuple[str, ...]
+    readings: dict[str, float]
+    labels: dict[str, str]
 
 
 def help_words(problem: Problem) -> str:
     """What may be typed at a session of a problem with one instrument, and what to see to before."""
     layout, words = problem.layout(), problem.instrument.words
-    read = ", ".join(f"{name}{in_unit(kind)}" for name, kind in layout.columns.items())
-    reading = "reading" if len(layout.columns) == 1 else "readings"
+    read, reading = in_units(layout), "reading" if len(layout.columns) == 1 else "readings"
     said = ["Bring the arm to the posture.", *([sentence(words.approach)] if words.approach else [])]
     said.append(
         "If the controller shows the joint values as planned, "
@@ -67,81 +56,82 @@ def help_words(problem: Problem) -> str:
     return " ".join([*said, COMMANDS])
 
 
-def in_unit(kind: Dimension) -> str:
-    """In which unit a quantity is typed and shown: " in degrees", " in mm"; nothing for a number."""
-    return {"angle": " in degrees", "length": " in mm"}.get(kind, "")
+def in_units(layout: Layout) -> str:
+    """Readings and the units in which they are typed: "reading in mm"; a number has no unit."""
+    units = {"angle": " in degrees", "length": " in mm", "number": ""}
+    return ", ".join(f"{name}{units[kind]}" for name, kind in layout.columns.items())
 
 
-def command_of(line: str) -> Command | None:
-    """The command that a line is; None where it is none."""
+def command_of(line: str) -> tuple[str, int | None] | None:
+    """The word of a command and the number after it, if any; None for a line that is no command."""
     word, _, rest = (part.strip() for part in line.strip().partition(" "))
     known = WORDS.get(word.lower(), word.lower())
     if known not in WORDS.values():
         return None
     if rest and not rest.isdecimal():
         raise CasacalError(f"'{rest}' after '{word}' is no number", "Give one, or nothing")
-    return Command(known, int(rest) if rest else None)
+    return known, int(rest) if rest else None
 
 
 def touch_of(line: str, layout: Layout, planned: Touch | None, gauge: Gauge) -> Typed:
     """The touch that a line says: readings alone where joints are as planned, or joints and readings, then labels.
 
     Angles are typed in degrees, lengths in mm; numbers are apart by blanks or semicolons, or by commas where they have
-    points. A line with a single number is read as the gauge would write it, so that a unit may follow. Raises
-    CasacalError for lines that are neither.
+    points. A single number is read as the gauge would write it. Raises CasacalError for lines that are neither.
     """
     gauge.refuse_error(line)
     joints, readings = len(layout.joints), len(layout.columns)
-    kinds = list(layout.columns.values())
-    if readings == 1 and planned is not None and (alone := _alone(line, gauge, kinds[0])) is not None:
-        return Typed(planned.joints, (alone,), _labels((), layout, planned))
+    if planned is not None and readings == 1 and gauge.reads(line):
+        return read_by(gauge, line, layout, planned)
     # commas part cells where numbers have points, else they are decimal commas
     apart = r"[\s;,]+" if re.search(r"\d\.\d", line) or not re.search(r"\d,\d", line) else r"[\s;]+|,\s+"
     cells = [cell for cell in re.split(apart, line.strip()) if cell]
     count = next((k for k, cell in enumerate(cells) if not NUMBER.fullmatch(cell)), len(cells))
-    numbers, labels = [_number(cell) for cell in cells[:count]], tuple(cells[count:])
-    if count in (readings if planned is not None else -1, joints + readings):
-        read = tuple(value / WRITTEN[kind][1] for value, kind in zip(numbers[count - readings :], kinds, strict=True))
-        if count == readings and planned is not None:
-            return Typed(planned.joints, read, _labels(labels, layout, planned))
-        q = np.array(numbers[:joints]) / [WRITTEN[kind][1] for kind in layout.joints]
-        return Typed(q, read, _labels(labels, layout, planned))
-    wanted = counted(readings, "reading") if readings else ""
-    instead = f"{wanted}, or " if planned is not None and readings else ""
-    fix = f"Type {instead}{joints} joint values{f' and {wanted}' if wanted else ''}; h for help"
-    raise CasacalError(f"{counted(count, 'number')} came", fix)
+    as_planned = planned is not None and count == readings
+    if not as_planned and count != joints + readings:
+        wanted = counted(readings, "reading") if readings else ""
+        instead = f"{wanted}, or " if planned is not None and readings else ""
+        fix = f"Type {instead}{joints} joint values{f' and {wanted}' if wanted else ''}; h for help"
+        raise CasacalError(f"{counted(count, 'number')} came", fix)
+    labels = cells[count:]
+    if labels and len(labels) != len(layout.labels):
+        raise CasacalError(f"'{' '.join(labels)}' follows the numbers", "Type h for help")
+    if not labels and planned is None and layout.labels:
+        raise CasacalError(f"The touch has no {layout.labels[0]}", "Type it after the numbers")
+    named = dict(zip(layout.labels, labels, strict=True)) if labels else _labels(planned, layout)
+    read = _readings(cells[count - readings : count], layout)
+    if planned is not None and as_planned:
+        return Typed(planned.joints, read, named)
+    pairs = zip(cells[:joints], layout.joints, strict=True)
+    return Typed(np.array([_number(cell) / WRITTEN[kind][1] for cell, kind in pairs]), read, named)
 
 
 def read_by(gauge: Gauge, line: str, layout: Layout, planned: Touch | None) -> Typed:
     """The planned touch with what a gauge's line reads; raises CasacalError for a line that is anything else."""
-    kinds = list(layout.columns.values())
     if planned is None:
         raise CasacalError("No touch is waited for", "Type the joint values and the reading")
-    if len(kinds) == 1:
-        return Typed(planned.joints, (gauge.reading(line, kinds[0]),), _labels((), layout, planned))
-    cells = [cell for cell in re.split(r"[\s;,]+", gauge.refuse_error(line)) if cell]
-    if len(cells) != len(kinds) or not all(NUMBER.fullmatch(cell) for cell in cells):
-        raise CasacalError(f"The gauge sent {line.strip()!r}", f"A line of it is {counted(len(kinds), 'number')}")
-    read = tuple(_number(cell) / WRITTEN[kind][1] for cell, kind in zip(cells, kinds, strict=True))
-    return Typed(planned.joints, read, _labels((), layout, planned))
+    if len(layout.columns) == 1:
+        read = {name: gauge.reading(line, kind) for name, kind in layout.columns.items()}
+    else:
+        cells, asked = [cell for cell in re.split(r"[\s;,]+", gauge.refuse_error(line)) if cell], len(layout.columns)
+        if len(cells) != asked or not all(NUMBER.fullmatch(cell) for cell in cells):
+            raise CasacalError(f"The gauge sent {line.strip()!r}", f"A line of it is {counted(asked, 'number')}")
+        read = _readings(cells, layout)
+    return Typed(planned.joints, read, _labels(planned, layout))
+
+
+def _labels(planned: Touch | None, layout: Layout) -> dict[str, str]:
+    return {} if planned is None else {name: planned.labels[name] for name in layout.labels}
+
+
+def _readings(cells: Sequence[str], layout: Layout) -> dict[str, float]:
+    """Readings by column (mm, rad) from numbers as people type them."""
+    pairs = zip(layout.columns.items(), cells, strict=True)
+    return {name: _number(cell) / WRITTEN[kind][1] for (name, kind), cell in pairs}
 
 
 def _number(text: str) -> float:
-    return float(text.strip().replace(",", "."))
-
-
-def _alone(line: str, gauge: Gauge, kind: Dimension) -> float | None:
-    if gauge.reads(line):
-        return gauge.reading(line, kind)
-    return _number(line) / WRITTEN[kind][1] if NUMBER.fullmatch(line.strip()) else None
-
-
-def _labels(typed: tuple[str, ...], layout: Layout, planned: Touch | None) -> tuple[str, ...]:
-    if typed and len(typed) != len(layout.labels):
-        raise CasacalError(f"'{' '.join(typed)}' follows the numbers", "Type h for help")
-    if not typed and planned is None and layout.labels:
-        raise CasacalError(f"The touch has no {layout.labels[0]}", "Type it after the numbers")
-    return typed if typed or planned is None else tuple(planned.labels[name] for name in layout.labels)
+    return float(text.replace(",", "."))
 
 
 ALIKE = 1e-9  # mm or rad by which equal readings differ
@@ -159,47 +149,39 @@ class Answer:
 
 
 def answered(session: Session, proposed: Touch | None, line: str, gauge: Gauge, *, sent: bool = False) -> Answer:
-    """Answer a line; what cannot be understood or done is said, and changes nothing.
-
-    sent: whether the gauge sent it: then it can only be a reading.
-    """
+    """Answer a line, which can only be a reading where the gauge sent it; what cannot be done changes nothing."""
     try:
         command = None if sent else command_of(line)
         if command is not None:
-            return _obeyed(session, proposed, command)
+            return _obeyed(session, proposed, *command)
         if session.alarm is not None:
             return Answer(session, ("Answer first, by u, c or k", *doubt(session)))
         layout = session.problem.layout()
         typed = read_by(gauge, line, layout, proposed) if sent else touch_of(line, layout, proposed, gauge)
-        columns = dict(zip(layout.columns, typed.readings, strict=True))
-        refuse_beyond_travel(session.problem, columns)
-        after = session.take(
-            typed.joints,
-            columns,
-            dict(zip(layout.labels, typed.labels, strict=True)),
-            number=None if proposed is None else proposed.number,
-        )
+        if (beyond := beyond_travel(session.problem, typed.readings)) is not None:
+            fix = "Check sign, point and unit; if the dial does show this, declare its travel in the problem file"
+            raise CasacalError(beyond, fix)
+        after = session.take(*typed, number=None if proposed is None else proposed.number)
     except CasacalError as error:
         return Answer(session, (str(error),))
     return Answer(after, (_told(after), *doubt(after)), "added")
 
 
-def _obeyed(session: Session, proposed: Touch | None, command: Command) -> Answer:
-    if command.word == HELP:
+def _obeyed(session: Session, proposed: Touch | None, word: str, number: int | None) -> Answer:
+    if word == HELP:
         return Answer(session, (help_words(session.problem),))
-    if command.word == QUIT:
+    if word == QUIT:
         return Answer(session, (), ended=True)
-    if command.word == SKIP:
+    if word == SKIP:
         if session.alarm is not None:
             return Answer(session, tuple(doubt(session)))
         if proposed is None or proposed.number is None:
             raise CasacalError("The plan has no touch left to skip", "Type q to end")
         return Answer(session.skip(proposed.number), (f"touch {proposed.number} is left out",))
-    number, alarm = command.number, session.alarm
-    if command.word == KEEP:
+    if word == KEEP:
         done, after = "kept", session.keep()
-    elif command.word == CORRECT:
-        suspects = alarm.suspects if number is not None and alarm is not None else ()
+    elif word == CORRECT:
+        suspects = session.alarm.suspects if number is not None and session.alarm is not None else ()
         if suspects and not 1 <= (number or 0) <= len(suspects):
             raise CasacalError(f"There is no explanation {number}", f"Give 1 to {len(suspects)}")
         done, after = "put right", session.correct(suspects[(number or 0) - 1] if suspects else None)
@@ -215,25 +197,23 @@ def _obeyed(session: Session, proposed: Touch | None, command: Command) -> Answe
 
 def repeats_last(session: Session, line: str, gauge: Gauge) -> bool:
     """Whether a line of the gauge is the reading of the last touch again, as where its button was pressed twice."""
-    columns = list(session.problem.layout().columns.items())
+    columns = session.problem.layout().columns
     if len(columns) != 1 or not len(session) or session.alarm is not None:
         return False
-    (name, kind), last = columns[0], session.touches[-1]
-    try:
-        return abs(gauge.reading(line, kind) - last.columns[name]) < ALIKE
-    except CasacalError:
-        return False
+    ((name, kind),) = columns.items()
+    with suppress(CasacalError):
+        return abs(gauge.reading(line, kind) - session.touches[-1].columns[name]) < ALIKE
+    return False
 
 
 def waiting(session: Session, proposed: Touch | None, *, by_gauge: bool) -> str:
     """What is waited for, for whoever comes back to the terminal."""
     if session.alarm is not None:
         return f"Waiting for an answer about touch {session.shown(session.alarm.touch)}: u, c or k"
-    read = ", ".join(f"{name}{in_unit(kind)}" for name, kind in session.problem.layout().columns.items())
+    read = in_units(session.problem.layout())
     number = "one more touch" if proposed is None or proposed.number is None else f"touch {proposed.number}"
-    if not read:
-        return f"Waiting for {number}: Enter when the tip touches"
-    return f"Waiting for {number}: {read}, {'from the gauge or typed' if by_gauge else 'typed'}"
+    how = f"{read}, {'from the gauge or typed' if by_gauge else 'typed'}" if read else "Enter when the tip touches"
+    return f"Waiting for {number}: {how}"
 
 
 def posture(touch: Touch, layout: Layout) -> str:
@@ -272,28 +252,25 @@ def doubt(session: Session) -> list[str]:
     if alarm is None:
         return []
     size = abs(alarm.off) / alarm.std if alarm.std > 0 else math.inf
-    fixable = "c corrects it as in 1; " if alarm.suspects and alarm.suspects[0].slip is not None else ""
-    return [
+    said = [
         f"warning: touch {session.shown(alarm.raised_by)} is off by {alarm.off:.3g} mm, {size:.2g} times what was to "
-        "be expected. What would explain it, the likeliest first:",
-        *(f"  {k}. {_explained(session, each)}" for k, each in enumerate(alarm.suspects, 1)),
-        f"u takes touch {session.shown(alarm.touch)} back, so that it is made again; {fixable}k keeps it as it is",
+        "be expected. What would explain it, the likeliest first:"
     ]
-
-
-def _explained(session: Session, each: Suspected) -> str:
-    cause = "no known cause explains it" if each.slip is None else each.slip.words
-    part = "over 99 %" if each.chance > 0.99 else f"{100 * each.chance:.0f} %" if each.chance >= 0.01 else "below 1 %"
-    return f"touch {session.shown(each.touch)}: {cause} ({part})"
+    for k, each in enumerate(alarm.suspects, 1):
+        cause, chance = "no known cause explains it" if each.slip is None else each.slip.words, each.chance
+        part = "over 99 %" if chance > 0.99 else f"{100 * chance:.0f} %" if chance >= 0.01 else "below 1 %"
+        said.append(f"  {k}. touch {session.shown(each.touch)}: {cause} ({part})")
+    fixable = "c corrects it as in 1; " if alarm.suspects and alarm.suspects[0].slip is not None else ""
+    again = f"u takes touch {session.shown(alarm.touch)} back, so that it is made again"
+    return [*said, f"{again}; {fixable}k keeps it as it is"]
 
 
 def ended(session: Session) -> list[str]:
     """What to say at the end."""
-    said, below = [], session.tip_error_below
+    said, below, met = [], session.tip_error_below, ""
+    if session.tolerance is not None:
+        met = f", {'within' if session.done else 'not within'} the tolerance of {session.tolerance:g} mm"
     if below is not None:
-        met = ""
-        if session.tolerance is not None:
-            met = f", {'within' if session.done else 'not within'} the tolerance of {session.tolerance:g} mm"
         said.append(
             f"{counted(len(session), 'touch')}: tip error {session.tip_error:.3g} mm expected, below {below:.3g} "
             f"mm{met}, apart from the position of the base, if the priors and the form of the arm's model are right. "

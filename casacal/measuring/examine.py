@@ -15,6 +15,7 @@ from operator import is_
 import numpy as np
 
 from casacal.array_types import Array
+from casacal.binding.bound_problem import bind
 from casacal.errors import CasacalError
 from casacal.measuring.known import (
     POOL,
@@ -22,12 +23,11 @@ from casacal.measuring.known import (
     LinearRows,
     Places,
     ShiftedBelief,
+    chance_of,
     innovations_at,
     known_before,
     known_from,
-    length,
-    log_density,
-    places_of,
+    proposed_places,
     square,
     telling,
 )
@@ -77,7 +77,8 @@ class Alarm(Value):
     def of(rows: LinearRows, told: ShiftedBelief, k: int, suspects: tuple[Suspected, ...], number: int) -> Alarm:
         """By row k, a touch of some number, where others tell something; of several numbers, their lengths."""
         off, std = rows.off(told, k)
-        return Alarm(number, length(off), math.sqrt(float((std**2).sum())), suspects)
+        size = float(off[0]) if len(off) == 1 else float(np.linalg.norm(off))  # a single number keeps its sign
+        return Alarm(number, size, float(np.linalg.norm(std)), suspects)
 
     @property
     def touch(self) -> int:
@@ -90,14 +91,13 @@ def examined(
 ) -> Alarm | None:
     """Look for a touch that the others contradict; None where all agree.
 
-    known: from all of these touches, in their order. touches: those that were taken in, by their numbers. slips: what
-    may have been typed wrong in one. others: what all but the last tell, where that has just come; else None.
+    known: by all of these touches, which have their numbers. slips: possible typing mistakes in one of them. others:
+    known by all but the last, where that has just come; else None.
     """
     numbers, last = list(touches), len(touches) - 1
-    new = touches[numbers[last]]
-    fresh = others is not None and not new.kept and _chance_alone(others, new) < NEW
-    if fresh and others is not None:
-        known = others  # about which all is linear: a gross one moves it far
+    new, fresh = touches[numbers[last]], False
+    if others is not None and not new.kept and chance_of(others, [new]) < NEW:
+        fresh, known = True, others  # about which all is linear: a gross one moves it far
     mean, rows = known.belief.mean, LinearRows.of(known, list(touches.values()))
     chances = _chances(rows, mean)
     looked = [k for k, number in enumerate(numbers) if not touches[number].kept and not (fresh and k == last)]
@@ -113,7 +113,7 @@ def examined(
 
 def judged_alone(known: Known, touch: Touch, slips: Callable[[int], list[Slip]], number: int) -> Alarm | None:
     """Look at a touch that is not taken in, by what is known; None where it agrees."""
-    if touch.kept or _chance_alone(known, touch) >= NEW:
+    if touch.kept or chance_of(known, [touch]) >= NEW:
         return None
     rows, told = LinearRows.of(known, [touch]), ShiftedBelief.by(known.belief)
     usual = float(np.median(known.bound.block.noise))
@@ -127,12 +127,6 @@ def refuse_along(known: Known, touch: Touch) -> None:
         where = ", ".join(touch.labels.values()) or "the face"
         fix = "Look at the joint values and the face"
         raise CasacalError(f"At these joint values the plunger is parallel to '{where}' and cannot touch it", fix)
-
-
-def _chance_alone(known: Known, touch: Touch) -> float:
-    """Chance of a touch by what others tell."""
-    rows = LinearRows.of(known, [touch])
-    return chance(square(*ShiftedBelief.by(known.belief).of(rows.residual[0], rows.slope[0])), rows.residual.shape[1])
 
 
 def _chances(rows: LinearRows, mean: Array) -> Array:
@@ -149,22 +143,20 @@ def _chances(rows: LinearRows, mean: Array) -> Array:
 def _explained(
     known: Known, told: Mapping[int, ShiftedBelief], slips: Callable[[int], list[Slip]], noise: Array, usual: float
 ) -> tuple[Suspected, ...]:
-    """What explains touches, by their numbers, of which others tell something, the likeliest first.
-
-    Of each touch and kind only the best is named; those that are far less likely are left out. noise: of a touch (m,),
-    mm; usual: that of most.
-    """
+    """Explanations of touches by their numbers, likeliest first, the best of each kind; noise of a touch (m,), mm."""
     # range of a stray touch in units of its noise, as the evidence counts rows: less ln(2 pi) / 2
     stray = float(np.log(STRAY / np.minimum(noise, STRAY / 2)).sum() - len(noise) * math.log(2 * math.pi) / 2)
     scores: list[tuple[int, Slip | None, float]] = []
     for number, rest in told.items():
         scores.append((number, None, rest.evidence + STRAY_WEIGHT - stray))
         others = [slip for slip in slips(number) if known.knows(slip.touch)]  # not a face that nobody has touched
-        rows = LinearRows.of(known, [slip.touch for slip in others]) if others else None
+        if not others:
+            continue
+        rows = LinearRows.of(known, [slip.touch for slip in others])
         for k, slip in enumerate(others):
-            assert rows is not None
             if not (rows.noise[k] < ALONG * usual).any():  # a plunger along the face touches nothing
-                likely = log_density(*rest.of(rows.residual[k], rows.slope[k]))
+                value, spread = rest.of(rows.residual[k], rows.slope[k])
+                likely = -float(square(value, spread) + np.linalg.slogdet(spread)[1]) / 2  # less a constant
                 scores.append((number, slip, rest.evidence + likely + slip.weight))
     scores.sort(key=lambda each: -each[2])
     best: dict[tuple[int, str | None], tuple[int, Slip | None, float]] = {}
@@ -178,9 +170,9 @@ def _explained(
 
 @dataclass(frozen=True, eq=False)
 class SessionState(Value):
-    """What touches tell.
+    """The knowledge after some touches.
 
-    known: by all of them but one in doubt and those kept for checking; None before any. alarm: what is in doubt.
+    known: by all of them but one in doubt and those kept for checking; None before any. alarm: the one in doubt.
     off, std: by how much the touch that has just come was off, and the standard deviation of that (m,), mm; None where
     nothing could be said. waiting: touches of faces of which nobody knows yet where they stand.
     """
@@ -191,12 +183,11 @@ class SessionState(Value):
     std: Array | None = None
     waiting: tuple[int, ...] = ()
     setting: SessionSetting | None = None
-    """What does not change from touch to touch; None before any."""
 
 
 @dataclass(frozen=True, eq=False)
 class SessionSetting(Value):
-    """What does not change from touch to touch: the problem, planned rows, where faces are planned, further touches."""
+    """The part that does not change from touch to touch: problem, planned rows, places of faces, further touches."""
 
     problem: Problem
     planned: Samples | None
@@ -209,11 +200,11 @@ class SessionSetting(Value):
         problem: Problem, plan: Samples | None, cell: Disturbances | None, clearance: Clearance | None
     ) -> SessionSetting:
         """Of a plan's rows, or of none."""
-        told = [] if plan is None else telling(problem, plan, {})
-        if plan is None or not told:  # faces that are planned too seldom have no place
+        if plan is None or not (told := telling(problem, plan, {})):  # faces that are planned too seldom have no place
             return SessionSetting(problem, None, {}, cell, clearance)
         placed = plan.take(told)
-        return SessionSetting(problem, placed, places_of(problem, placed), cell, clearance)
+        places = proposed_places(bind(problem.without_terms, placed).slots)
+        return SessionSetting(problem, placed, places, cell, clearance)
 
     @cached_property
     def further(self) -> Samples:
@@ -221,12 +212,11 @@ class SessionSetting(Value):
         return pool_of(self.problem, self.cell, POOL, 7, self.clearance)
 
     def known_by(self, touches: Sequence[Touch], before: Known | None) -> Known | None:
-        """What touches that are all usable tell; `before`: what was known a touch ago."""
-        if not touches:
-            return None
-        if before is not None and len(touches) == len(before.touches) and all(map(is_, touches, before.touches)):
+        """Fit of those touches that tell where something stands; `before`: the fit a touch ago, None where none do."""
+        used = [touches[k] for k in self.usable(touches)]
+        if before is not None and len(used) == len(before.touches) and all(map(is_, used, before.touches)):
             return before
-        return known_from(self.problem, touches, self.places, self.planned, before)
+        return known_from(self.problem, used, self.places, self.planned, before) if used else None
 
     def usable(self, touches: Sequence[Touch]) -> list[int]:
         """Which touches tell something: those of faces that are planned or were touched often enough."""
@@ -249,14 +239,13 @@ class SessionSetting(Value):
             others = self._others([touches[k] for k in used], before) if new and last in used else None
             alarm = examined(known, {k: touches[k] for k in used}, slips, others=others)
         off, std = (None, None) if others is None else (each[0] for each in innovations_at(others, [touches[last]]))
-        if alarm is not None and alarm.touch in used:
-            rest = [touches[k] for k in used if k != alarm.touch]
-            known = self.known_by([rest[k] for k in self.usable(rest)], before)  # a face may be short of a touch now
+        if alarm is not None and alarm.touch in used:  # without which a face may be short of a touch
+            known = self.known_by([touches[k] for k in used if k != alarm.touch], before)
         return SessionState(known, alarm, off, std, waiting, self)
 
     def _others(self, used: Sequence[Touch], before: Known | None) -> Known | None:
         """What all touches but the last tell of its face too; None where they tell nothing of it."""
         if len(used) == 1:
             return known_before(self.problem, rows_of(used), self.places, self.planned)
-        others = self.known_by([used[k] for k in self.usable(used[:-1])], before)
+        others = self.known_by(used[:-1], before)
         return others if others is not None and others.knows(used[-1]) else None

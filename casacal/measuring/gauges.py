@@ -8,6 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -50,8 +51,8 @@ class Gauge:
         """A line without its ends; raises CasacalError where it says that there is no reading."""
         text = line.strip("\x00\r\n\t ")
         if re.fullmatch(self.errors, text, re.IGNORECASE):
-            fix = "Check the gauge, and send the reading again"
-            raise CasacalError(f"The gauge says {text!r}, which is an error", fix)
+            what = f"The gauge says {text!r}, which is an error"
+            raise CasacalError(what, "Check the gauge, and send the reading again")
         return text
 
     def reads(self, line: str) -> bool:
@@ -68,7 +69,7 @@ class Gauge:
         units = UNITS[kind]
         unit = (found.groupdict().get("unit") or self.unit).lower() or next(iter(units))
         if unit not in units:
-            fix = f"Give it in {listed(list(units), 'or')}" if kind != "number" else "Give it without a unit"
+            fix = "Give it without a unit" if kind == "number" else f"Give it in {listed(list(units), 'or')}"
             raise CasacalError(f"{text!r} is in {unit}, which is no unit of this reading", fix)
         value = float(re.sub(r"\s", "", found["value"]).replace(",", ".")) * units[unit]
         if not math.isfinite(value):
@@ -87,13 +88,9 @@ GAUGES: Mapping[str, Gauge] = {
 
 
 def gauge(name: str, *, pattern: str | None = None, unit: str | None = None, asks: str | None = None) -> Gauge:
-    """A gauge by name, with one's own pattern, unit or question in place of its own.
-
-    Raises CasacalError for a name or unit that there is not, and for a pattern that is none or has no group `value`.
-    """
+    """A gauge by name, with one's own pattern, unit or question; CasacalError for a name, unit or pattern not known."""
     refuse_unknown("gauge", [name], GAUGES)
-    known_units = [each for units in UNITS.values() for each in units if each]
-    refuse_unknown("unit", [] if unit is None else [unit], known_units)
+    refuse_unknown("unit", [] if unit is None else [unit], [each for some in UNITS.values() for each in some if each])
     known = GAUGES[name]
     if pattern is not None:
         try:
@@ -101,8 +98,9 @@ def gauge(name: str, *, pattern: str | None = None, unit: str | None = None, ask
         except re.error as error:
             raise CasacalError(f"The pattern {pattern!r} is none ({error})", "Write a regular expression") from None
         if "value" not in groups:
-            fix = "Write (?P<value>...) around the number"
-            raise CasacalError(f"The pattern {pattern!r} has no group 'value'", fix)
+            raise CasacalError(
+                f"The pattern {pattern!r} has no group 'value'", "Write (?P<value>...) around the number"
+            )
         known = Gauge("of this pattern", pattern)
     if asks is not None:  # the ends of lines are typed as a backslash and a letter
         known = replace(known, asks=asks.replace("\\r", "\r").replace("\\n", "\n"))
@@ -113,11 +111,7 @@ Parity = Literal["N", "E", "O"]
 
 
 class SerialLine:
-    """Lines that a gauge sends, and questions to it.
-
-    port: such as COM3 or /dev/ttyUSB0. baud, bits, parity, stops: as the gauge's page says. Raises CasacalError where
-    pyserial is missing or the port cannot be opened.
-    """
+    """Lines that a gauge sends, and questions to it; CasacalError without pyserial, or where the port is not opened."""
 
     def __init__(self, port: str, *, baud: int = 9600, bits: int = 8, parity: Parity = "N", stops: int = 1) -> None:
         try:
@@ -161,17 +155,12 @@ class SerialLine:
                 return
             inbox.note(f"The gauge at {self._line.port} is gone. Plug it in again, or type the readings")
             self._line.close()
-            while not self._back():
-                if self._closed.wait(RETRY):
+            while not self._line.is_open:
+                with suppress(OSError, ValueError, TypeError):
+                    self._line.open()
+                if not self._line.is_open and self._closed.wait(RETRY):
                     return
             inbox.note("The gauge is back")
-
-    def _back(self) -> bool:
-        try:
-            self._line.open()
-        except (OSError, ValueError, TypeError):
-            return False
-        return True
 
     def close(self) -> None:
         """Give the port back."""

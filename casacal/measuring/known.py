@@ -1,8 +1,4 @@
-"""What touches have told so far: one fit of all of them, how they scatter, and what is then expected of others.
-
-First the fit; then touches linear about it: where others expect one, what is known of the tip, and which touch lowers
-its error most.
-"""
+"""The fit of all touches so far, their scatter, and, linear about it, the readings and the tip error to expect."""
 
 from __future__ import annotations
 
@@ -15,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import OTHERS
 from casacal.binding.slots import Slot, instances, make_slots
 from casacal.errors import ProblemError
@@ -27,7 +23,7 @@ from casacal.measuring.touch import Touch, rows_of
 from casacal.planning.choice import gains, row_slopes
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples, joined
-from casacal.uncertainty.fresh_rows import chance
+from casacal.uncertainty.fresh_rows import chance, covariance_root
 from casacal.values import Value, read_only
 
 Places = Mapping[str, Array]
@@ -68,12 +64,8 @@ class Known(Value):
         return bool(covered(self.bound, rows_of([touch])).all())
 
 
-def places_of(problem: Problem, samples: Samples) -> dict[str, Array]:
-    """Where faces and the like stand by planned rows, which all tell something."""
-    return _proposed(bind(problem.without_terms, samples).slots)
-
-
-def _proposed(slots: Sequence[Slot]) -> dict[str, Array]:
+def proposed_places(slots: Sequence[Slot]) -> dict[str, Array]:
+    """Where faces and the like stand that were declared without a nominal value, as the rows propose them."""
     return {slot.name: slot.nominal for slot in slots if slot.unknown.nominal is None}
 
 
@@ -81,18 +73,15 @@ def telling(problem: Problem, samples: Samples, places: Places) -> list[int]:
     """Which rows tell something: those of faces that are planned or were touched often enough."""
     told = np.ones(len(samples), dtype=bool)
     for name, rows, enough in _proposing(problem, samples):
-        if name not in places and not (enough and _stands(problem, samples.take(rows), places)):
-            told[rows] = False
+        if name in places:
+            continue
+        try:
+            if enough:
+                make_slots(problem, (samples.take(rows),), places)
+        except ProblemError:  # touches on a line do not say where a face is
+            enough = False
+        told[rows] &= enough
     return [int(k) for k in np.flatnonzero(told)]
-
-
-def _stands(problem: Problem, samples: Samples, places: Places) -> bool:
-    """Whether rows of one face say where it is; those on a line do not."""
-    try:
-        make_slots(problem, (samples,), places)
-    except ProblemError:
-        return False
-    return True
 
 
 def known_from(
@@ -100,9 +89,8 @@ def known_from(
 ) -> Known:
     """Fit touches that are all usable, with the prior and, where it is flat, what a filter would start with.
 
-    Faces begin where they are planned, or else where their own touches say, and where they are found to stand
-    elsewhere, there: what they begin with is no knowledge of where they are. What is planned has its unknowns from the
-    beginning on, so that they stay the same. `before` is what was known a touch ago, whose binding serves again. Raises
+    Faces begin where they are planned, or else where their own touches say, and again where they are found to stand.
+    All that is planned has unknowns from the beginning on. The binding of `before`, a touch ago, serves again. Raises
     ProblemError where nothing says where a face stands.
     """
     samples = rows_of(touches)
@@ -134,16 +122,12 @@ def known_before(problem: Problem, rows: Samples, places: Places, planned: Sampl
 def _fitted(bound: BoundProblem) -> Belief:
     """The posterior of all rows about its peak."""
     found, scale = lm(bound), bound.start_std
-    root = np.asarray(np.linalg.cholesky(found.covariance / np.outer(scale, scale)), dtype=np.float64)
-    return Belief((found.x - bound.x0) / scale, root)
+    return Belief((found.x - bound.x0) / scale, covariance_root(found.covariance / np.outer(scale, scale)))
 
 
 def _noise_over_stated(bound: BoundProblem, belief: Belief) -> float:
-    """The factor of the stated noise at which the rows are likeliest; one where that is no telling difference.
-
-    The marginal likelihood of rows linear about the belief, r + J y with y ~ N(-mean, I): with J = U S V' each factor
-    costs a few numbers.
-    """
+    """The factor of the stated noise at which the rows are likeliest; one where that is no telling difference."""
+    # marginal likelihood of rows r + J y, y ~ N(-mean, I), for which J = U S V' makes each factor cheap
     x = bound.x0 + bound.start_std * belief.mean
     r, slopes = bound.residual(x), bound.jacobian(x) * bound.start_std
     _, sizes, right = svd(slopes, full=True)
@@ -162,13 +146,11 @@ def _noise_over_stated(bound: BoundProblem, belief: Belief) -> float:
 
 def _moved(bound: BoundProblem, belief: Belief) -> BoundProblem:
     """The same rows with faces where they are believed to stand."""
-    x = bound.x0 + bound.start_std * belief.mean
-    slots = []
-    for slot in bound.slots:
+    x, slots = bound.x0 + bound.start_std * belief.mean, list(bound.slots)
+    for k, slot in enumerate(slots):
         if slot.datum and slot.unknown.nominal_plane(slot.nominal) is not None:
             _, plane = slot.unknown.shown(slot.nominal, x[slot.columns])
-            slot = replace(slot, nominal=read_only(slot.unknown.placed(plane["point_mm"], plane["normal"])))
-        slots.append(slot)
+            slots[k] = replace(slot, nominal=read_only(slot.unknown.placed(plane["point_mm"], plane["normal"])))
     return _with_starts(BoundProblem(bound.problem, slots, bound.samples))
 
 
@@ -180,7 +162,7 @@ def _bound(
     except ProblemError:  # touches on a line say of no face where it stands
         slots = make_slots(problem, (samples,), places)
     if planned is not None:
-        slots = make_slots(problem, (joined(samples, planned),), {**places, **_proposed(slots)})
+        slots = make_slots(problem, (joined(samples, planned),), {**places, **proposed_places(slots)})
     return _with_starts(BoundProblem(problem, slots, (samples,)))
 
 
@@ -208,13 +190,10 @@ def _proposing(problem: Problem, samples: Samples) -> Iterator[tuple[str, NDArra
 
 def covered(bound: BoundProblem, samples: Samples) -> NDArray[np.bool_]:
     """Which rows (N,) have their unknowns among those that are bound: whose face is known, and the like."""
-    have, instrument = {slot.name for slot in bound.slots}, bound.problem.instrument
-    found = np.ones(len(samples), dtype=bool)
-    for key, unknown in instrument.unknowns.items():
-        if unknown.per is not None:
-            labels = samples.labels[unknown.per]
-            named = [f"{key}.{instrument.instance(key, name)}" in have for name in labels.names]
-            found &= np.array(named)[labels.codes]
+    have, found = {slot.name for slot in bound.slots}, np.ones(len(samples), dtype=bool)
+    for key, unknown in bound.problem.instrument.unknowns.items():
+        for label, rows in instances(bound.problem.instrument, key, unknown, samples):
+            found[rows] &= label is None or f"{key}.{label}" in have
     return found
 
 
@@ -225,10 +204,7 @@ MOST = 200  # more touches than nobody makes
 
 @dataclass(frozen=True, eq=False)
 class ShiftedBelief:
-    """A Gaussian by which touches are expected: its mean is so far (n,) from the belief's; its covariance (n, n).
-
-    evidence: logarithm of that of the rows that told it, less a constant for each row.
-    """
+    """A Gaussian of covariance (n, n) with its mean `shift` (n,) from the belief's; evidence: of its rows, as a log."""
 
     shift: Array
     covariance: Array
@@ -281,8 +257,8 @@ class LinearRows:
 def innovations_at(known: Known, touches: Sequence[Touch]) -> tuple[Array, Array]:
     """What each touch would be off by if it came next, and the standard deviation of that, both (touches, m), mm."""
     rows, told = LinearRows.of(known, touches), ShiftedBelief.by(known.belief)
-    off, stds = zip(*(rows.off(told, k) for k in range(len(touches))), strict=True)
-    return np.array(off), np.array(stds)
+    found = np.array([rows.off(told, k) for k in range(len(touches))])
+    return found[:, 0], found[:, 1]
 
 
 def chance_of(known: Known, touches: Sequence[Touch]) -> float:
@@ -292,40 +268,19 @@ def chance_of(known: Known, touches: Sequence[Touch]) -> float:
     return chance(square(value, spread), len(value))
 
 
-def log_density(value: Array, spread: Array) -> float:
-    """Logarithm of how likely a value (m,) of covariance (m, m) is, less a constant for each number."""
-    return -float(square(value, spread) + np.linalg.slogdet(spread)[1]) / 2
-
-
 def square(value: Array, spread: Array) -> float:
     """Squared length of a value (m,) by its covariance (m, m)."""
     return float(value @ np.linalg.solve(spread, value))
 
 
-def length(value: Array) -> float:
-    """The number itself with its sign; of several, their length."""
-    return float(value[0]) if len(value) == 1 else math.sqrt(float((value**2).sum()))
-
-
 def spectrum(root: Array, field: Array) -> Array:
-    """Weights (n,) of the squared RMS tip error as a sum of squares of independent unit normals, mm^2.
-
-    root: R (n, n) of a belief whose covariance is R R'.
-    """
+    """Weights of the squared RMS tip error (mm^2) as a sum of squares of unit normals; covariance is root root'."""
     moves = field @ root
     return np.asarray(np.maximum(np.linalg.eigvalsh(moves.T @ moves) * 3 / len(field), 0.0))
 
 
-def expected_error(weights: Array) -> float:
-    """Root of the mean squared tip error, mm."""
-    return math.sqrt(float(weights.sum()))
-
-
 def error_below(weights: Array, sure: float = SURE) -> float:
-    """The RMS tip error (mm) below which a part of all arms stays.
-
-    By the first three moments of the sum, between which lies a gamma distribution (Pearson's third).
-    """
+    """The RMS tip error (mm) below which a part of all arms stays, by Pearson's third: a gamma of the same moments."""
     mean, variance, third = (float((weights**k).sum()) for k in (1, 2, 3))
     if not variance > 0:
         return 0.0
@@ -352,14 +307,10 @@ class Pool(Value):
         return int(np.argmax(gains(self.slopes, covariance, field.T @ field)))
 
     def needed(self, known: Known, field: Array, tolerance: float) -> int | None:
-        """How many more touches, each the best after the one before it, bring the error below a tolerance.
-
-        None where as many as `MOST` do not.
-        """
+        """How many more touches, each the best of its time, bring the error below a tolerance; None over `MOST`."""
         covariance = known.covariance
         for count in range(MOST + 1):
-            values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
-            if error_below(spectrum(vectors * np.sqrt(np.maximum(values, 0.0)), field)) <= tolerance:
+            if error_below(spectrum(covariance_root(covariance), field)) <= tolerance:
                 return count
             slope = self.slopes[self.most_telling(covariance, field)]
             across = slope @ covariance

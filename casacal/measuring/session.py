@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -10,17 +11,7 @@ from casacal.array_types import Array
 from casacal.errors import CasacalError, came, refuse_unknown
 from casacal.estimators.sckf import Belief
 from casacal.measuring.examine import Alarm, SessionSetting, SessionState, Suspected, refuse_along
-from casacal.measuring.known import (
-    Known,
-    Pool,
-    chance_of,
-    counts,
-    error_below,
-    expected_error,
-    innovations_at,
-    known_before,
-    spectrum,
-)
+from casacal.measuring.known import Known, Pool, chance_of, counts, error_below, innovations_at, known_before, spectrum
 from casacal.measuring.touch import Slip, Touch, columns_of, joints_of, labels_of, rows_of, slips_of
 from casacal.planning.candidates import Clearance, refuse_several
 from casacal.planning.choice import wanted_field, wanted_joints
@@ -103,13 +94,8 @@ class Session(Value):
             fix = "Answer first, by undo(), keep() or correct(suspect)"
             raise CasacalError(f"Touch {self.shown(self.alarm.touch)} is in doubt", fix)
         planned, layout = self.planned(number), self.problem.layout()
-        touch = Touch(
-            joints_of(q, layout),
-            columns_of(reading, layout),
-            labels_of(plane, layout, planned),
-            number,
-            FIT if planned is None else planned.purpose,
-        )
+        joints, columns, labels = joints_of(q, layout), columns_of(reading, layout), labels_of(plane, layout, planned)
+        touch = Touch(joints, columns, labels, number, FIT if planned is None else planned.purpose)
         for column, known in () if self.plan is None else self.plan.samples.labels.items():
             refuse_unknown(f"{column} of the plan", [touch.labels[column]], known.names)
         if self.known is not None and self.known.knows(touch):
@@ -120,8 +106,9 @@ class Session(Value):
         """Take a touch back, as if it had never been made: the one in doubt, else the last, or by number from 0."""
         if not self.touches:
             raise CasacalError("There is no touch to take back", "Take one first")
-        last = len(self) - 1 if self.alarm is None else self.alarm.touch
-        k = last if touch is None else touch
+        k = touch
+        if k is None:
+            k = len(self) - 1 if self.alarm is None else self.alarm.touch
         if not 0 <= k < len(self):
             raise CasacalError(f"There is no touch {k}", f"Give 0 to {len(self) - 1}")
         return self._after((*self.touches[:k], *self.touches[k + 1 :]))
@@ -129,7 +116,7 @@ class Session(Value):
     def keep(self) -> Session:
         """Say that the touch in doubt is right as it is."""
         k = self._asked().touch
-        return self._after(self._with(k, replace(self.touches[k], kept=True)))
+        return self._put(k, replace(self.touches[k], kept=True))
 
     def correct(self, suspect: Suspected | None = None) -> Session:
         """Put right what was typed wrong: as the likeliest explanation has it, or another one of the alarm's."""
@@ -138,7 +125,7 @@ class Session(Value):
         if chosen.slip is None:
             what = f"Nothing that could be corrected explains touch {self.shown(chosen.touch)}"
             raise CasacalError(what, "Take it back, or keep it as it is")
-        return self._after(self._with(chosen.touch, chosen.slip.touch))
+        return self._put(chosen.touch, chosen.slip.touch)
 
     def skip(self, number: int) -> Session:
         """Leave a touch of the plan out."""
@@ -157,11 +144,11 @@ class Session(Value):
         been touched, and where all that was planned is and no tolerance asks for more. Raises SimulationError where no
         further touch is found.
         """
+        if self.done:
+            return None
         done = {touch.number for touch in self.touches} | self.skipped
         left = [touch for touch in self._all_planned if touch.number not in done]
         known = self.state.known
-        if self.done:
-            return None
         if left:
             # those to fit by what they tell, then the others in order
             told = [touch for touch in left if touch.purpose == FIT and known is not None and known.knows(touch)]
@@ -170,21 +157,21 @@ class Session(Value):
             return told[Pool.of(known, rows_of(told)).most_telling(known.covariance, self.field)]
         if self.tolerance is None or known is None or self.field is None:
             return None
-        return Touch.of(self._pool.samples, self._pool.most_telling(known.covariance, self.field))
+        pool = Pool.of(known, self._setting.further)
+        return Touch.of(pool.samples, pool.most_telling(known.covariance, self.field))
 
     def needed(self) -> int | None:
         """How many more well-chosen touches the tolerance takes; None where there is none, or 200 are not enough."""
         known = self.state.known
         if self.tolerance is None or known is None or self.field is None:
             return None
-        return self._pool.needed(known, self.field, self.tolerance)
+        return Pool.of(known, self._setting.further).needed(known, self.field, self.tolerance)
 
     def shown(self, k: int) -> int:
         """The number by which people know a touch: the plan's, and beyond it the numbers that follow."""
+        beyond = len(self._all_planned) + sum(touch.number is None for touch in self.touches[: k + 1])
         number = self.touches[k].number
-        if number is not None:
-            return number
-        return len(self._all_planned) + sum(touch.number is None for touch in self.touches[: k + 1])
+        return beyond if number is None else number
 
     def planned(self, number: int | None) -> Touch | None:
         """A touch of the plan by its number; raises CasacalError for one that there is not."""
@@ -221,10 +208,9 @@ class Session(Value):
 
     @property
     def belief(self) -> Belief | None:
-        """Mean (n,) and lower triangular root (n, n) of the covariance, mm and rad, named by `names`; None at first."""
-        if (known := self.state.known) is None:
-            return None
-        return Belief(known.x, known.bound.start_std[:, None] * known.belief.root)
+        """Mean (n,) and root (n, k) of the covariance, mm and rad, named by `names`; None at first."""
+        known = self.state.known
+        return None if known is None else Belief(known.x, known.bound.start_std[:, None] * known.belief.root)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -239,7 +225,7 @@ class Session(Value):
     @property
     def tip_error(self) -> float | None:
         """Tip error to expect where it is wanted, mm RMS, apart from the base's position; None before any touch."""
-        return None if self.weights is None else expected_error(self.weights)
+        return None if self.weights is None else math.sqrt(float(self.weights.sum()))
 
     @property
     def tip_error_below(self) -> float | None:
@@ -271,10 +257,9 @@ class Session(Value):
     @cached_property
     def field(self) -> Array | None:
         """Moves (3 M, n) of the tip where it is wanted, per unit of the belief."""
-        if self.state.known is None:
+        if (known := self.state.known) is None:
             return None
-        bound = self.state.known.bound
-        return wanted_field(bound, bound.x0, wanted_joints(bound, self.box, self.targets))
+        return wanted_field(known.bound, known.bound.x0, wanted_joints(known.bound, self.box, self.targets))
 
     @cached_property
     def weights(self) -> Array | None:
@@ -287,8 +272,8 @@ class Session(Value):
         state = self._setting.state(touches, lambda k: self._slips(touches, k), self.state.known, new=new)
         return replace(self, touches=touches, state=state)
 
-    def _with(self, k: int, touch: Touch) -> tuple[Touch, ...]:
-        return (*self.touches[:k], touch, *self.touches[k + 1 :])
+    def _put(self, k: int, touch: Touch) -> Session:
+        return self._after((*self.touches[:k], touch, *self.touches[k + 1 :]))
 
     def _asked(self) -> Alarm:
         if self.alarm is None:
@@ -299,11 +284,6 @@ class Session(Value):
         every = (*touches, *self._all_planned)
         labels = {name: tuple(dict.fromkeys(each.labels[name] for each in every)) for name in touches[k].labels}
         return slips_of(self.problem, touches[k], self.planned(touches[k].number), labels)
-
-    @cached_property
-    def _pool(self) -> Pool:
-        assert self.state.known is not None
-        return Pool.of(self.state.known, self._setting.further)
 
     @cached_property
     def _setting(self) -> SessionSetting:

@@ -87,16 +87,14 @@ def columns_of(reading: float | Mapping[str, float] | None, layout: Layout) -> d
     """What the instrument read by column; raises CasacalError where it does not fit."""
     asked = list(layout.columns)
     wanted = ", ".join(asked) or "no reading at all"
-    if reading is None or isinstance(reading, Mapping):
-        given: Mapping[str, float] = reading or {}
-    elif len(asked) != 1:
-        raise CasacalError(f"Got one reading, but a touch has {wanted}", "Give them by name")
-    else:
-        given = {asked[0]: reading}
+    if reading is not None and not isinstance(reading, Mapping):
+        if len(asked) != 1:
+            raise CasacalError(f"Got one reading, but a touch has {wanted}", "Give them by name")
+        reading = {asked[0]: reading}
+    given = reading or {}
     refuse_unknown("column of a touch", given, asked)
     for name in asked:
-        value = given.get(name)
-        if not is_finite(value):
+        if not is_finite(value := given.get(name)):
             raise CasacalError(f"Got {came(value)} as the {name}", f"Give a number; a touch has {wanted}")
     return {name: float(given[name]) for name in asked}
 
@@ -107,9 +105,8 @@ def labels_of(plane: str | Mapping[str, str] | None, layout: Layout, planned: To
     if isinstance(plane, str):
         if len(asked) != 1:
             raise CasacalError(f"Got the label '{plane}', but a touch has {', '.join(asked) or 'none'}", "Give it so")
-        given: Mapping[str, str] = {asked[0]: plane.strip()}
-    else:
-        given = {} if plane is None else plane
+        plane = {asked[0]: plane.strip()}
+    given = {} if plane is None else plane
     refuse_unknown("label of a touch", given, asked)
     found = {name: given.get(name, "" if planned is None else planned.labels[name]) for name in asked}
     for name, label in found.items():
@@ -118,28 +115,18 @@ def labels_of(plane: str | Mapping[str, str] | None, layout: Layout, planned: To
     return found
 
 
-def _shown(problem: Problem, columns: Mapping[str, float]) -> bool:
-    """Whether an instrument can show these readings at all."""
-    try:
-        refuse_beyond_travel(problem, columns)
-    except CasacalError:
-        return False
-    return True
-
-
-def refuse_beyond_travel(problem: Problem, columns: Mapping[str, float]) -> None:
-    """Raise CasacalError for a reading that the dial cannot show; calibrate would not take it."""
+def beyond_travel(problem: Problem, columns: Mapping[str, float]) -> str | None:
+    """Words for a reading that the dial cannot show, which calibrate would not take; None where it can."""
     probe = problem.instrument.probe
     if probe is None or probe.column is None:
-        return
+        return None
     reading, (low, high) = columns[probe.column], readings_within(probe.travel)
-    if max(low - reading, reading - high) > OVERTRAVEL * (high - low):
-        fix = "Check sign, point and unit; if the dial does show this, declare its travel in the problem file"
-        raise CasacalError(f"{reading:g} mm is outside the dial's range of {low:g} to {high:g} mm", fix)
+    if max(low - reading, reading - high) <= OVERTRAVEL * (high - low):
+        return None
+    return f"{reading:g} mm is outside the dial's range of {low:g} to {high:g} mm"
 
 
 SHOWN = 3  # decimals of a reading in mm as people type it, and of a joint value in degrees or mm
-MOST_TURNS = 2  # turns of a pointer that may be forgotten
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,41 +140,35 @@ class Slip(Value):
 
 
 def slips_of(problem: Problem, touch: Touch, planned: Touch | None, labels: Mapping[str, Sequence[str]]) -> list[Slip]:
-    """What may have been typed wrong in a touch.
-
-    planned: what was to be done there, or None. labels: by column, what there is to choose from.
-    """
-    found = [*_of_labels(touch, labels), *_of_readings(problem, touch), *_of_joints(problem, touch, planned)]
-    return [slip for slip in found if np.isfinite(slip.touch.joints).all() and _shown(problem, slip.touch.columns)]
-
-
-def _of_labels(touch: Touch, labels: Mapping[str, Sequence[str]]) -> Iterator[Slip]:
+    """Typing mistakes that may be in a touch, by what was planned there, if anything, and by the labels there are."""
+    found = []
     for column, names in labels.items():
         for name in names:
             if name != touch.labels[column]:
                 words = f"the {column} was '{name}', not '{touch.labels[column]}'"
-                yield Slip("label", words, replace(touch, labels={**touch.labels, column: name}), -1.0)
+                found.append(Slip("label", words, replace(touch, labels={**touch.labels, column: name}), -1.0))
+    found += [*_of_readings(problem, touch), *_of_joints(problem, touch, planned)]
+    possible = (slip for slip in found if np.isfinite(slip.touch.joints).all())
+    return [slip for slip in possible if beyond_travel(problem, slip.touch.columns) is None]
 
 
 def _of_readings(problem: Problem, touch: Touch) -> Iterator[Slip]:
     probe = problem.instrument.probe
+
+    def slip(kind: str, words: str, said: float, weight: float) -> Slip:
+        return Slip(kind, words, replace(touch, columns={**touch.columns, name: said}), weight)
+
     for name, dimension in problem.layout().columns.items():
         value = touch.columns[name]
-
-        def slip(kind: str, words: str, said: float, weight: float, name: str = name) -> Slip:
-            return Slip(kind, words, replace(touch, columns={**touch.columns, name: said}), weight)
-
         unit, factor = WRITTEN[dimension][0].replace("_", " ").strip(), WRITTEN[dimension][1]
         yield slip("sign", f"the sign of the {name}", -value, -1.0)
         if probe is not None and name == probe.column and probe.turn:
-            for turns in (1, -1, 2, -2)[: 2 * MOST_TURNS]:
-                said = value + turns * probe.turn
-                many = "a turn" if abs(turns) == 1 else f"{abs(turns)} turns"
-                way = "forgotten" if turns > 0 else "too many"
+            for turns, many in ((1, "a turn"), (-1, "a turn"), (2, "2 turns"), (-2, "2 turns")):
+                said, way = value + turns * probe.turn, "forgotten" if turns > 0 else "too many"
                 yield slip("revolution", f"{many} of the pointer {way}: {said:.{SHOWN}f} {unit}", said, -abs(turns))
         if dimension == "length":
-            for inch, words in ((25.4, "inches, not mm"), (1 / 25.4, "mm, not inches")):
-                yield slip("unit", f"the {name} in {words}", value * inch, -4.0)
+            yield slip("unit", f"the {name} in inches, not mm", value * 25.4, -4.0)
+            yield slip("unit", f"the {name} in mm, not inches", value / 25.4, -4.0)
         for typed, weight in _mistyped(value * factor):
             yield slip("digit", f"a digit of the {name}: {typed:.{SHOWN}f} {unit}".rstrip(), typed / factor, weight)
 
@@ -199,26 +180,23 @@ def _of_joints(problem: Problem, touch: Touch, planned: Touch | None) -> Iterato
 
     def slip(kind: str, words: str, changed: Mapping[int, float], weight: float) -> Slip:
         other = joints.copy()
-        for i, value in changed.items():
-            other[i] = value
+        other[list(changed)] = list(changed.values())
         return Slip(kind, words, replace(touch, joints=other), weight)
 
     if turns.sum() > 1 and np.abs(np.degrees(joints[turns])).max() < 2 * math.pi:
-        in_rad = {int(i): math.degrees(joints[i]) for i in np.flatnonzero(turns)}
+        in_rad = {i: math.degrees(joints[i]) for i in np.flatnonzero(turns).tolist()}
         yield slip("radians", "joint values in radians, not degrees", in_rad, -3.0)
-    for i, value in enumerate(joints):
+    for i, value in enumerate(joints.tolist()):
         if planned is not None and abs(planned.joints[i] - value) > 1e-9:
-            as_planned = float(planned.joints[i])
-            words = f"joint {i + 1} as planned: {as_planned * factor[i]:.{SHOWN}f} {unit[i]}"
-            yield slip("joint", words, {i: as_planned}, -1.0)
-        yield slip("joint sign", f"the sign of joint {i + 1}", {i: -float(value)}, -3.0)
-        for said, weight in _mistyped(float(value * factor[i])):
+            words = f"joint {i + 1} as planned: {planned.joints[i] * factor[i]:.{SHOWN}f} {unit[i]}"
+            yield slip("joint", words, {i: float(planned.joints[i])}, -1.0)
+        yield slip("joint sign", f"the sign of joint {i + 1}", {i: -value}, -3.0)
+        for said, weight in _mistyped(value * float(factor[i])):
             words = f"a digit of joint {i + 1}: {said:.{SHOWN}f} {unit[i]}"
             yield slip("joint", words, {i: said / float(factor[i])}, weight - 2.0)
-        for k in range(i):
-            if turns[i] == turns[k]:
-                words = f"joints {k + 1} and {i + 1} in each other's place"
-                yield slip("joints swapped", words, {i: float(joints[k]), k: float(value)}, -4.0)
+        for k in np.flatnonzero(turns[:i] == turns[i]).tolist():
+            words = f"joints {k + 1} and {i + 1} in each other's place"
+            yield slip("joints swapped", words, {i: float(joints[k]), k: value}, -4.0)
 
 
 def _mistyped(value: float) -> list[tuple[float, float]]:
@@ -243,10 +221,7 @@ KEPT, NONE = "yes", "-"
 
 @dataclass(frozen=True)
 class TouchFile(Value):
-    """Where touches are written: those to be fitted in `path`, those to check with beside it.
-
-    mark: what the first line says of the session, such as its plan, by which it is known again.
-    """
+    """A file of touches to fit, and one of touches to check with beside it; `mark`, the first line: of the session."""
 
     path: Path
     layout: Layout
@@ -260,11 +235,6 @@ class TouchFile(Value):
     @property
     def _paths(self) -> tuple[Path, Path]:
         return self.path, self.check_path
-
-    def begun(self) -> bool:
-        """Whether there is a file already."""
-        recover(self.path.parent)
-        return any(path.exists() for path in self._paths)
 
     def refuse_others(self) -> None:
         """Raise CasacalError for a path where no CSV can grow, before anybody makes a touch for it."""
@@ -283,10 +253,8 @@ class TouchFile(Value):
         return tuple(path.stat().st_size if path.exists() else 0 for path in self._paths)
 
     def read(self) -> tuple[list[Touch], bool]:
-        """Touches made so far, in their order, and whether a last line was cut off and is left out.
-
-        Raises SamplesError for a file that is none of this session's.
-        """
+        """Touches so far, in order, and whether a cut-off last line is left out; SamplesError for another session's."""
+        recover(self.path.parent)
         found: list[tuple[int, Touch]] = []
         cut = False
         for path in self._paths:
@@ -297,7 +265,7 @@ class TouchFile(Value):
                     self._check_mark(path, data.decode("utf-8", errors="replace").lstrip().partition("\n")[0].rstrip())
                 if len(whole) < len(data):
                     cut = True
-                    place_whole(path, partial(_filled, data=whole), own=True) if whole else path.unlink()
+                    place_whole(path, partial(Path.write_bytes, data=whole), own=True) if whole else path.unlink()
                 found += self._touches(path)
         found.sort(key=lambda pair: pair[0])
         return [touch for _, touch in found], cut
@@ -321,49 +289,40 @@ class TouchFile(Value):
 
     def _text(self, rows: Sequence[tuple[int, Touch]]) -> str:
         touches = [touch for _, touch in rows]
-        cells = (
-            [str(order) for order, _ in rows],
-            [NONE if touch.number is None else str(touch.number) for touch in touches],
-            [touch.purpose for touch in touches],
-            [KEPT if touch.kept else NONE for touch in touches],
-        )
-        beside = dict(zip(BESIDE, cells, strict=True))
+        beside = {
+            "order": [str(order) for order, _ in rows],
+            "touch": [NONE if touch.number is None else str(touch.number) for touch in touches],
+            "purpose": [touch.purpose for touch in touches],
+            "kept": [KEPT if touch.kept else NONE for touch in touches],
+        }
         return samples_text(self.layout, rows_of(touches), [self.mark], after=beside, least_decimals=JOINT_DECIMALS)
 
     def _check_mark(self, path: Path, first: str) -> None:
         """Raise SamplesError unless the first line of a file is that of this session: nothing is changed before."""
         if first == f"# {self.mark}":
             return
-        if self.mark in first:
-            fix = "Undo the change, or calibrate with its rows as they are and continue in another file"
-            raise SamplesError(path.as_posix(), "another program has changed this file", fix)
+        what = "this file exists already and belongs to another problem or plan"
         fix = "Name another --out, or continue with the plan that it was begun with"
-        raise SamplesError(path.as_posix(), "this file exists already and belongs to another problem or plan", fix)
+        if self.mark in first:
+            what = "another program has changed this file"
+            fix = "Undo the change, or calibrate with its rows as they are and continue in another file"
+        raise SamplesError(path.as_posix(), what, fix)
 
     def _touches(self, path: Path) -> list[tuple[int, Touch]]:
-        if not path.exists():
-            return []
-        lines = [line for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
-        if len(lines) < 3:
+        lines = path.read_bytes().splitlines() if path.exists() else []
+        if sum(bool(line.strip()) for line in lines) < 3:  # mark and header alone
             return []
         samples, found = Samples.from_file(path, self.layout), []
         missing = (NONE,) * len(samples)
         beside = zip(*(map(str, samples.extra.get(name, missing)) for name in BESIDE), strict=True)
         for k, (order, number, purpose, kept) in enumerate(beside):
-            if not _is_count(order) or not (number == NONE or _is_count(number)) or purpose not in PURPOSES:
+            counts = [order] if number == NONE else [order, number]
+            if not all(each.isdecimal() and len(each) < 10 for each in counts) or purpose not in PURPOSES:
                 fix = "Restore them, or start a new file"
                 raise SamplesError(path.as_posix(), "order, touch or purpose were changed", fix)
             of_plan = None if number == NONE else int(number)
             found.append((int(order), Touch.of(samples, k, of_plan, purpose, kept=kept == KEPT)))
         return found
-
-
-def _is_count(text: str) -> bool:
-    return text.isdecimal() and len(text) < 10
-
-
-def _filled(place: Path, *, data: bytes) -> None:
-    place.write_bytes(data)
 
 
 def _added(path: Path, data: bytes) -> None:

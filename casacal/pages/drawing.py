@@ -66,13 +66,9 @@ class Panel:
         spans = (x[1] - x[0], y[1] - y[0])
         tall = max(min(room * spans[1] / spans[0], tallest), 90.0)
         unit = max(spans[0] / room, spans[1] / tall)
-        middle = [(a + b) / 2 for a, b in (x, y)]
-        wide, high = room * unit / 2, tall * unit / 2
-        return Panel(
-            (middle[0] - wide, middle[0] + wide),
-            (middle[1] - high, middle[1] + high),
-            tall + frame.top + frame.bottom,
-        )
+        left, right = (sum(x) / 2 + side * room * unit / 2 for side in (-1, 1))
+        low, high = (sum(y) / 2 + side * tall * unit / 2 for side in (-1, 1))
+        return Panel((left, right), (low, high), tall + frame.top + frame.bottom)
 
     def across(self, values: Array | float) -> Array:
         """Picture units from the left."""
@@ -110,28 +106,30 @@ def ticks(low: float, high: float) -> list[tuple[float, str]]:
 
 
 def axes(panel: Panel, x_title: str, y_title: str, *, x_ticks: Ticks | None = None, upright: bool = False) -> Markup:
-    """Frame, ticks and titles, level grid lines and, if asked, upright ones.
-
-    The title of the upright axis stands above it, where it reads without a turned head.
-    """
+    """Frame, ticks and titles, the upright axis' above it; level grid lines and, if asked, upright ones."""
     left, right, low = panel.left, WIDTH - panel.right, panel.height - panel.bottom
     parts = []
+
+    def path(d: str, look: str) -> None:
+        parts.append(tag("path", at={"d": d, "class": look}))
+
+    def text(words: str, x: float, y: float, look: str) -> None:
+        parts.append(tag("text", words, at={"x": number(x), "y": number(y), "class": look}))
+
     for value, words in ticks(*panel.y):
-        y = number(float(panel.down(value)))
-        parts.append(tag("path", at={"d": f"M{number(left)} {y}H{number(right)}", "class": "grid"}))
-        at = {"x": number(left - 6), "y": number(float(panel.down(value)) + 4.5), "class": "end"}
-        parts.append(tag("text", words, at=at))
+        y = float(panel.down(value))
+        path(f"M{number(left)} {number(y)}H{number(right)}", "grid")
+        text(words, left - 6, y + 4.5, "end")
     for value, words in ticks(*panel.x) if x_ticks is None else x_ticks:
-        x = number(float(panel.across(value)))
+        x = float(panel.across(value))
         if x_ticks is None and upright:
-            parts.append(tag("path", at={"d": f"M{x} {number(panel.top)}V{number(low)}", "class": "grid"}))
+            path(f"M{number(x)} {number(panel.top)}V{number(low)}", "grid")
         if x_ticks is None:
-            parts.append(tag("path", at={"d": f"M{x} {number(low)}v5", "class": "axis"}))
-        parts.append(tag("text", words, at={"x": x, "y": number(low + 18), "class": "middle"}))
-    parts.append(tag("path", at={"d": f"M{number(left)} {number(low)}H{number(right)}", "class": "axis"}))
-    middle = number((left + right) / 2)
-    parts.append(tag("text", x_title, at={"x": middle, "y": number(panel.height - 6), "class": "middle title"}))
-    parts.append(tag("text", y_title, at={"x": "4", "y": "14", "class": "title"}))
+            path(f"M{number(x)} {number(low)}v5", "axis")
+        text(words, x, low + 18, "middle")
+    path(f"M{number(left)} {number(low)}H{number(right)}", "axis")
+    text(x_title, (left + right) / 2, panel.height - 6, "middle title")
+    text(y_title, 4.0, 14.0, "title")
     return together(*parts)
 
 
@@ -146,14 +144,9 @@ def dots(panel: Panel, x: Array, y: Array, look: str, *, colour: str | None = No
 
 def bars(panel: Panel, edges: Array, heights: Array, look: str) -> Markup:
     """Bars (N,) from zero between edges (N + 1,)."""
-    base = number(float(panel.down(0.0)))
-    path = "".join(
-        f"M{number(a)} {base}V{number(y)}H{number(b)}V{base}Z"
-        for a, b, y, h in zip(
-            panel.across(edges[:-1]), panel.across(edges[1:]), panel.down(heights), heights, strict=True
-        )
-        if h > 0
-    )
+    base, some = number(float(panel.down(0.0))), heights > 0
+    places = zip(panel.across(edges[:-1][some]), panel.across(edges[1:][some]), panel.down(heights[some]), strict=True)
+    path = "".join(f"M{number(a)} {base}V{number(y)}H{number(b)}V{base}Z" for a, b, y in places)
     return tag("path", at={"d": path or "M0 0", "class": look})
 
 
@@ -335,6 +328,6 @@ def _templates() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    made.filters |= {"fixed": fixed, "mm": mm, "count": count, "shortened": shortened}
-    made.filters |= {"capital": capital, "sized": sized}
+    filters = (fixed, mm, count, shortened, capital, sized)
+    made.filters |= {each.__name__: each for each in filters}
     return made
