@@ -220,7 +220,7 @@ def test_nor_does_the_object(denied):
 def test_exports_refuse_and_say_so_when_forced(denied, form, tmp_path, capsys):
     folder, _ = denied
     command = ["export", str(folder / "out" / "result.json"), "--to", form, "--out", str(tmp_path / FORMS[form])]
-    assert main(command) == 2
+    assert main(command) == 1
     assert "--force" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
     assert main([*command, "--force"]) == 0
@@ -232,7 +232,7 @@ def test_exports_refuse_and_say_so_when_forced(denied, form, tmp_path, capsys):
 def test_a_forced_function_for_casadi_says_so_in_its_name(denied, tmp_path, capsys):
     folder, _ = denied
     command = ["export", str(folder / "out"), "--to", "casadi", "--out", str(tmp_path / "arm.casadi")]
-    assert main(command) == 2
+    assert main(command) == 1
     assert "--force" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
     assert main([*command, "--force"]) == 0
@@ -267,7 +267,7 @@ def test_compensated_targets_say_so_when_forced(denied, tmp_path, capsys):
     targets.write_text("q1_deg,q2_deg,q3_mm,q4_deg\n10,-80,70,20\n")
     for form in ("csv",):
         command = ["compensate", result, str(targets), "--out", str(tmp_path / form), "--format", form]
-        assert main(command) == 2
+        assert main(command) == 1
         assert not (tmp_path / form).exists()
         assert main([*command, "--force"]) == 0
         written = (tmp_path / form).read_text()

@@ -20,7 +20,7 @@ from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.result import Verdict
 from casacal.compensation.result_file import read_result
 from casacal.discrepancy.effect import effects_of
-from casacal.errors import CasacalError, came
+from casacal.errors import CasacalError, RefusedResultError, came
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
@@ -175,7 +175,7 @@ def _arm_of(result: Any) -> CalibratedArm:
         raise CasacalError(f"Got {came(result)} as the earlier result", "Give a calibration, or its result.json")
     if (words := result.denial) is not None:
         fix = "Mend what the verdict names, and calibrate again"
-        raise CasacalError(f"{result.file}: {words.removesuffix('.')}, so it is no prior", fix)
+        raise RefusedResultError(f"{result.file}: {words.removesuffix('.')}, so it is no prior", fix)
     if result.found.method == "truth":
         raise CasacalError(f"{result.file}: a true arm is not estimated, so it is no prior", "Give a calibration")
     if result.found.data.instruments:

@@ -13,9 +13,9 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any, NoReturn
 
-from casacal.cli.common import BAD_INPUT, DONE, INTERRUPTED
+from casacal.cli.common import BAD_INPUT, DONE, FAILED, INTERRUPTED
 from casacal.cli.terminal import complain, finish, prepare, words_beside
-from casacal.errors import CasacalError
+from casacal.errors import CasacalError, RefusedResultError
 from casacal.threads import one_thread_each
 from casacal.version import __version__
 
@@ -163,7 +163,7 @@ def _caught(typed: list[str]) -> int:
             raise CasacalError("Code of the problem's own ends the program (sys.exit)", "Take that out of it") from end
     except CasacalError as error:
         complain(" ".join(str(error).split()))
-        return BAD_INPUT
+        return FAILED if isinstance(error, RefusedResultError) else BAD_INPUT
     except OSError as error:  # a name that is too long, say, which no reader or writer foresaw
         complain(f"'{error.filename or 'A file'}' cannot be used ({error.strerror}). Choose another name or place.")
         return BAD_INPUT

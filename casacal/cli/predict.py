@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from casacal.cli.common import DONE, FAILED, FORCE, INSTRUMENT, JSON, RESULT, add, add_frame, read_arm
-from casacal.cli.terminal import answer, complain
-from casacal.errors import RefusedResultError
+from casacal.cli.common import DONE, FORCE, INSTRUMENT, JSON, RESULT, add, add_frame, read_arm
+from casacal.cli.terminal import answer
 from casacal.wording import counted, listed
 
 HELP = "predict poses of the calibrated arm"
@@ -32,18 +31,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Predict as the options say; returns 0, or 1 where the result must not be used."""
+    """Predict as the options say; returns 0."""
     from casacal.compensation.predict import joints_from, predict, write_prediction
     from casacal.compensation.told import told_notes
 
     result = read_arm(options, options.joints)
     joints = joints_from(options.joints, result.source)
     nominal = options.nominal
-    try:
-        prediction = predict(result, joints, frame=options.frame, nominal=nominal, std=options.std, force=options.force)
-    except RefusedResultError as refused:
-        complain(str(refused))
-        return FAILED
+    prediction = predict(result, joints, frame=options.frame, nominal=nominal, std=options.std, force=options.force)
     told = [] if nominal else told_notes(result, prediction.missing, prediction.beyond)
     care = [] if result.caution is None else [result.caution]
     write_prediction(
