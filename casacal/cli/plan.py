@@ -98,10 +98,10 @@ def run(options: argparse.Namespace) -> int:
 
 def _wrong_with(source: ProblemFile, options: argparse.Namespace) -> list[str]:
     """A warning of single rows of --after that look wrong; raises CasacalError where more than single rows do."""
-    from casacal.checks.check import check
-
     if (after := options.after) is None:
         return []
+    from casacal.checks.check import check
+
     found = check(source.problem, source.problem.read(after))
     if not (wrong := [finding for finding in found if finding.severity == "error"]):
         return []
