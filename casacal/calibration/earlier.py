@@ -14,13 +14,12 @@ from casacal.binding.bound_problem import BoundProblem
 from casacal.calibration.fresh import Fresh, fresh_rows, with_memory
 from casacal.calibration.motion import Tried
 from casacal.calibration.opened import Opened, fresh_among, same_arm
-from casacal.calibration.saved import AsArm
+from casacal.calibration.saved import AsArm, arm_from
 from casacal.checks.finding import Finding
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.result import Verdict
-from casacal.compensation.result_file import read_result
 from casacal.discrepancy.effect import effects_of
-from casacal.errors import CasacalError, RefusedResultError, came
+from casacal.errors import CasacalError, RefusedResultError
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
@@ -165,14 +164,9 @@ def earlier(
     )
 
 
-def _arm_of(result: Any) -> CalibratedArm:
+def _arm_of(given: Any) -> CalibratedArm:
     """A result as an arm that can be a prior; raises CasacalError for one that is none."""
-    if isinstance(result, (str, Path)):
-        result = read_result(result)
-    elif isinstance(result, AsArm):
-        result = result.arm
-    if not isinstance(result, CalibratedArm):
-        raise CasacalError(f"Got {came(result)} as the earlier result", "Give a calibration, or its result.json")
+    result = arm_from(given, "the earlier result")
     if (words := result.denial) is not None:
         fix = "Mend what the verdict names, and calibrate again"
         raise RefusedResultError(f"{result.file}: {words.removesuffix('.')}, so it is no prior", fix)

@@ -13,12 +13,11 @@ import numpy as np
 
 from casacal.calibration.fresh import Fresh, fresh_rows
 from casacal.calibration.given import problem_from, samples_of
-from casacal.calibration.saved import AsArm
+from casacal.calibration.saved import AsArm, arm_from
 from casacal.compensation.arm import CalibratedArm
-from casacal.compensation.result_file import read_result
 from casacal.compensation.seen_by import seen_by
 from casacal.compensation.told import NOTHING, TellingColumns
-from casacal.errors import CasacalError, SamplesError, came
+from casacal.errors import CasacalError, SamplesError
 from casacal.files import jsonable
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
@@ -151,13 +150,8 @@ def opened(
     """Read what is judged and by what; raises CasacalError as `verify` does."""
     if isinstance(standing, str):
         raise CasacalError(f"Got the text '{standing}' as the list of what has not moved", f"Give ['{standing}']")
-    if isinstance(result, (str, Path)):
-        result = read_result(result)
-    elif isinstance(result, AsArm):
-        result = result.arm
-    if not isinstance(result, CalibratedArm):
-        raise CasacalError(f"Got {came(result)} as the result", "Give a calibration, or the path of its result.json")
-    arm = seen_by(result, instrument if problem is not None else measured_by(result, samples, instrument))
+    found = arm_from(result, "the result")
+    arm = seen_by(found, instrument if problem is not None else measured_by(found, samples, instrument))
     source, robot = arm.source, arm.source.problem.robot
     if problem is not None:  # the result's arm with another problem's instrument
         other = problem_from(problem).problem

@@ -45,8 +45,13 @@ def calibration_document(
             **({"metrics_by_instrument": by} if (by := calibration.metrics_by_instrument) else {}),
             "leave_one_face_out": [{**asdict(face), "ratio": face.ratio} for face in calibration.left_out],
             "identifiability": parts.what_is_seen(calibration),
-            "cures": parts.cures_part(calibration),
-            "dial_errors": [parts.dial_error_part(error) for error in calibration.dial_errors],
+            "cures": [
+                parts.picked(cure, "words", "touches", "expected_rms_mm", "recommended") for cure in calibration.cures
+            ],
+            "dial_errors": [
+                {**parts.picked(error, "key", "words", "chance", "size", "unit"), "shown": error.shown}
+                for error in calibration.dial_errors
+            ],
             "correlations": [{"names": [one, two], "value": value} for one, two, value in pairs],
             "warnings": warnings(calibration.unjudged),
             "prior_moves": asdict(calibration.prior_moves),

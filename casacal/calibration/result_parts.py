@@ -28,7 +28,6 @@ from casacal.compensation.result_file import SCHEMA
 from casacal.errors import CasacalError
 from casacal.least_squares.result import Result
 from casacal.problem.problem_file import ProblemFile
-from casacal.uncertainty.discrepancy import DialError
 from casacal.uncertainty.identifiability import known_from
 from casacal.version import __version__
 
@@ -169,27 +168,18 @@ def discrepancy_part(calibration: Calibration) -> dict[str, Any] | None:
     return {**parts, **known, **columns_part(calibration)}
 
 
-def dial_error_part(error: DialError) -> dict[str, Any]:
-    """An error of the dial that nobody declared, and whether the rows show it."""
-    return {**_parts(error, "key", "words", "chance", "size", "unit"), "shown": error.shown}
-
-
 def what_is_seen(calibration: Calibration) -> dict[str, Any]:
     """Rank, null and weak directions, each with its cure; a tip error that is denied is NaN."""
     found, cures = calibration.identifiability, iter(calibration.advice)
     return {
-        **_parts(found, "unknowns", "rank", "condition", "singular_values"),
-        "null": [{**_parts(d, "kind", "words", "tip_mm", "structural"), "cure": next(cures)} for d in found.null],
-        "weak": [{**_parts(d, "words", "singular_value", "tip_mm"), "cure": next(cures)} for d in found.weak],
+        **picked(found, "unknowns", "rank", "condition", "singular_values"),
+        "null": [{**picked(d, "kind", "words", "tip_mm", "structural"), "cure": next(cures)} for d in found.null],
+        "weak": [{**picked(d, "words", "singular_value", "tip_mm"), "cure": next(cures)} for d in found.weak],
     }
 
 
-def cures_part(calibration: Calibration) -> list[dict[str, Any]]:
-    """What to do next, best first, with the tip error to expect after it."""
-    return [_parts(cure, "words", "touches", "expected_rms_mm", "recommended") for cure in calibration.cures]
-
-
-def _parts(of: object, *names: str) -> dict[str, Any]:
+def picked(of: object, *names: str) -> dict[str, Any]:
+    """Some attributes of a value, by name."""
     return {name: getattr(of, name) for name in names}
 
 
@@ -197,7 +187,7 @@ def reference_part(reference: Reference | None) -> dict[str, Any] | None:
     """What the independent solver found; None where none was asked."""
     if reference is None:
         return None
-    found = _parts(reference, "solver", "cost", "relative_gap")
+    found = picked(reference, "solver", "cost", "relative_gap")
     return {**found, "kkt": reference.result.kkt, "iterations": reference.result.steps}
 
 

@@ -180,6 +180,16 @@ class AsArm(ABC):
         return values_of(self.arm, frame=frame, nominal=nominal, force=force)
 
 
+def arm_from(given: Any, what: str) -> CalibratedArm:
+    """The arm of a calibration, fresh, read back or by the path of its result.json; raises CasacalError for others."""
+    if isinstance(given, (str, Path)):
+        return read_result(given)
+    found = given.arm if isinstance(given, AsArm) else given
+    if not isinstance(found, CalibratedArm):
+        raise CasacalError(f"Got {came(given)} as {what}", "Give a calibration, or the path of its result.json")
+    return found
+
+
 def parameter_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     """Parameters of result.json as a frame, with the change of each."""
     import pandas as pd
