@@ -112,7 +112,7 @@ def next_steps(calibration: Calibration) -> PrintedTable:
 
 
 def directions(calibration: Calibration) -> tuple[PrintedTable, list[str]]:
-    """Null and weak directions with what lowers each, the costly ones first; and those that move no tip."""
+    """Null and weak directions with what lowers each, the costly ones first; and those that move no tip, by name."""
     found = calibration.identifiability
     every: tuple[NullDirection | WeakDirection, ...] = (*found.null, *found.weak)
     costly, harmless = [], []
@@ -124,7 +124,7 @@ def directions(calibration: Calibration) -> tuple[PrintedTable, list[str]]:
             costly.append(
                 [each.words, kind, f"{each.tip_mm:.2g}" if math.isfinite(each.tip_mm) else "–", capital(advice)]
             )
-    return PrintedTable(["What changes unseen", "Kind", "#At the tip, mm", "Cure"], costly), harmless
+    return PrintedTable(["What changes unseen", "Kind", "#At the tip, mm", "Cure"], costly), sorted(harmless)
 
 
 def effects(calibration: Calibration) -> PrintedTable:

@@ -215,7 +215,7 @@ def _beyond(space: Array, inner: Array) -> Array:
 
 def _named(direction: Array, names: Sequence[str], most: int = 4) -> str:
     """The unknowns that take part most, in words."""
-    order = np.argsort(-np.abs(direction), kind="stable")
+    order = np.argsort(-np.abs(direction).round(6), kind="stable")  # rounding must not order what is equal
     strong = [i for i in order if abs(direction[i]) > 0.1 * abs(direction[order[0]])]
     shown = [names[i] for i in strong[:most]]
     more = f" and {len(strong) - most} more" if len(strong) > most else ""
