@@ -60,7 +60,7 @@ def best_cure(calibration: Calibration) -> str:
 
 
 def nothing_helps(calibration: Calibration) -> str:
-    """That no cure gains much, as a sentence; empty where one does, or none is known."""
+    """A sentence for the case that no cure gains much; empty where one does or none was tried."""
     if not calibration.cures or _best(calibration) is not None:
         return ""
     least = calibration.cures[0].expected_rms_mm

@@ -218,7 +218,7 @@ def _second_look(
     find_noise: bool,
     threads: int | None,
 ) -> tuple[BoundProblem, BoundProblem, tuple[Finding, ...]]:
-    """The same with other rows set aside, where those look gross once effects and noise are known.
+    """Fit, geometry and findings with the rows that are gross once effects and noise are known set aside.
 
     Geometry alone takes smooth errors for noise, in which single rows hide, and calls rows gross that err together.
     """

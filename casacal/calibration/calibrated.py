@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 class Calibrated(Calibration, AsArm):
-    """What `calibrate` returns: a `Calibration`, with names as in SciPy's results, and pictures.
+    """Result of `calibrate`: a `Calibration` behind its verdict, with names as in SciPy's results, and pictures.
 
     Where its verdict is not to use it, figures of accuracy are NaN, `cures` is empty and `success` is False. `result`
     is the estimator's own, and no verdict governs it; `unjudged` has the figures all the same.
@@ -45,7 +45,7 @@ class Calibrated(Calibration, AsArm):
 
     @cached_property
     def unjudged(self) -> Calibration:
-        """The same calibration with its figures whatever the verdict: what the verdict itself is made of."""
+        """The calibration with every figure, whatever the verdict; the verdict itself is computed from it."""
         return Calibration(**{field.name: getattr(self, field.name) for field in fields(Calibration)})
 
     @cached_property
@@ -72,12 +72,12 @@ class Calibrated(Calibration, AsArm):
 
     @property
     def flange_std(self) -> tuple[float, float]:
-        """The same of the flange's origin, whatever tool it carries."""
+        """Expected error (prior, posterior) of the flange's origin, mm RMS; NaN where the verdict denies it."""
         return (math.nan, math.nan) if self.denied else self.unjudged.flange_std
 
     @property
     def tip_std_without_prior(self) -> tuple[float, int]:
-        """The same from the samples alone, and how many directions that move the tip they miss (then infinite)."""
+        """Tip error from the samples without priors, mm RMS (NaN where denied), and how many directions they miss."""
         alone, missed = self.unjudged.tip_std_without_prior
         return math.nan if self.denied else alone, missed
 
@@ -105,12 +105,12 @@ class Calibrated(Calibration, AsArm):
 
     @property
     def cures(self) -> tuple[Cure, ...]:
-        """What to do next, best first, with the tip error after it; empty where the verdict denies the result."""
+        """Next steps, best first, with the tip error after each; empty where the verdict denies the result."""
         return () if self.denied else self.unjudged.cures
 
     @property
     def advice(self) -> tuple[str, ...]:
-        """What lowers each null, then each weak direction, in the words of `cures`; none needed if it moves no tip."""
+        """Cure of each null, then each weak direction, in the words of `cures`; none needed if it moves no tip."""
         return self.unjudged.advice
 
     @property
@@ -214,7 +214,7 @@ class Calibrated(Calibration, AsArm):
         return Path(path)
 
     def summary(self) -> str:
-        """What `casacal calibrate --verbose` prints: verdict, residuals, accuracy, parameters, blind spots."""
+        """Text of `casacal calibrate --verbose`: verdict, residuals, accuracy, parameters, unobserved directions."""
         return summary(self, self.source.name)
 
     def plot_residuals(self, ax: Any = None) -> Any:

@@ -90,13 +90,13 @@ class Calibration(Value):
     source: ProblemFile
     """The problem as it was given: its file, where it has one."""
     aside: tuple[Finding, ...] = ()
-    """What is wrong with the rows that were set aside, with their lines."""
+    """Findings on the rows that were set aside, with their lines."""
     heldout_by: str = "rows"
-    """What was held out together: rows, region, face, or the name of a column."""
+    """Unit of the held-out rows: rows, region, face, or the name of a column."""
     tried: tuple[Tried, ...] = ()
     """Effects beside the geometry that could be corrected, and which are."""
     geometry: BoundProblem | None = None
-    """The same rows without effects beside the geometry, and with the noise as it was found so; None where it is `fit`.
+    """The fitted rows under the geometry alone, with the noise found under it; None where that is `fit`.
 
     What is wrong with the samples is looked for there: effects would explain part of it away."""
     earlier: EarlierResult | None = None
@@ -138,7 +138,7 @@ class Calibration(Value):
 
     @cached_property
     def weighed(self) -> BoundProblem:
-        """The same with the noise as it was found beside effects: what a single touch tells of the geometry."""
+        """`bare` with the noise found beside effects: the information of single touches about the geometry."""
         return self.bare if self.bare is self.fit else self.bare.with_noise(self.fit.scale)
 
     @property
@@ -186,7 +186,7 @@ class Calibration(Value):
 
     @property
     def assumed(self) -> str:
-        """What figures of accuracy take for right: noise, priors, and what readings cannot tell of themselves."""
+        """Assumptions of every accuracy figure, as a clause: noise, priors, and what readings cannot check."""
         noise = "noise as found" if self.noise.scale else "the stated noise"
         trusted = self.fit.problem.words.trusted
         return f"{noise}, priors and {trusted}" if trusted else f"{noise} and priors"
@@ -229,7 +229,7 @@ class Calibration(Value):
 
     @cached_property
     def metrics_by_instrument(self) -> dict[str, Metrics]:
-        """The same of each of several instruments, and of each block of a residual, in its unit; else nothing."""
+        """`metrics` by instrument and by block of a residual, each in its unit; empty for a single plain instrument."""
         pairs = (self.before.x, self.used_x), self.heldout_x
         return {part: metrics_of(self.fit, self.heldout, *pairs, part=part) for part in parts_of(self.fit)}
 
@@ -243,7 +243,7 @@ class Calibration(Value):
 
     @cached_property
     def tool_findings(self) -> tuple[Finding, ...]:
-        """That the tool stands elsewhere than the problem says, where it does."""
+        """A warning where the samples put the tool elsewhere than the problem file; otherwise empty."""
         if not self.fit.unknowns or self.earlier is not None:  # the earlier result says where it is
             return ()
         return tuple(tool_elsewhere_at(self.bare, self.plain.x, self.plain.covariance))
@@ -289,7 +289,7 @@ class Calibration(Value):
 
     @cached_property
     def seen(self) -> Seen:
-        """What figures of the arm are worked out from: the fit, apart from what single labels have for themselves."""
+        """The fit with the unknowns of single labels (faces, stations) marginalised; figures of the arm rest on it."""
         return seen(self.fit, self.result.x)[0]
 
     @cached_property
@@ -330,7 +330,7 @@ class Calibration(Value):
 
     @cached_property
     def flange_std(self) -> tuple[float, float]:
-        """The same of the flange's origin, whatever tool it carries.
+        """Expected error (prior, posterior) of the flange's origin, mm RMS, whatever tool it carries.
 
         NaN now where the estimate is not the minimum, and where the tool stands elsewhere than the problem says: what
         the samples see is the tip, and how much of the difference is the tool's, how much the arm's, nobody knows then.
@@ -345,7 +345,7 @@ class Calibration(Value):
 
     @cached_property
     def hidden_tool(self) -> HiddenTool | None:
-        """What of the tool is not known and decides most of the tip error; None where the arm itself decides it."""
+        """Poorly observed tool coordinates that cause most of the tip error; None where the arm itself causes it."""
         if not (math.isfinite(self.tip_std[1]) and math.isfinite(self.flange_std[1])):
             return None
         motion, (_, tips, slopes) = self.motion, self.workspace
@@ -377,7 +377,7 @@ class Calibration(Value):
 
     @cached_property
     def tip_std_without_prior(self) -> tuple[float, int]:
-        """The same from the samples alone, and how many directions that move the tip they miss (then infinite)."""
+        """Tip error from the samples without priors, mm RMS, and how many directions they miss (then infinite)."""
         return classical_accuracy(self.seen, self.seen_x)
 
     @cached_property
@@ -394,7 +394,7 @@ class Calibration(Value):
 
     @cached_property
     def cures(self) -> tuple[Cure, ...]:
-        """What to do next, best first: 24 planned touches each (60 of the same kind too), and the tip error after them.
+        """Next steps, best first: 24 planned touches each (60 of the same kind too), and the tip error after them.
 
         Worked out when asked for, in about a second. Figures compare with `tip_std`, and mean as little where the
         verdict is not to use this result. Touches tell geometry; what else errs, and an estimate's way to the minimum,
@@ -406,7 +406,7 @@ class Calibration(Value):
 
     @cached_property
     def advice(self) -> tuple[str, ...]:
-        """What lowers each null, then each weak direction, in the words of `cures`; none needed if it moves no tip."""
+        """Cure of each null, then each weak direction, in the words of `cures`; none needed if it moves no tip."""
         found = self.identifiability
         directions: tuple[NullDirection | WeakDirection, ...] = (*found.null, *found.weak)
         if all(direction.tip_mm < HARMLESS for direction in directions):
@@ -428,7 +428,7 @@ class Calibration(Value):
 
     @cached_property
     def effect_sizes(self) -> tuple[EffectSize, ...]:
-        """What arm and cell do beside their geometry, the likeliest first; none where that was not asked for."""
+        """Estimated sizes of non-geometric effects, likeliest first; empty where effects were left out."""
         return effect_sizes_of(self.fit, self.result.x)
 
     @cached_property
@@ -443,7 +443,7 @@ class Calibration(Value):
 
     @cached_property
     def instrument_findings(self) -> tuple[Finding, ...]:
-        """That what instruments share is not the same, or that their scale is wrong and the tip with it."""
+        """Errors where a shared unknown differs between instruments, or all lengths have a common scale error."""
         if not self.result.converged:
             return ()
         shared = not_the_same(self.fit, self.result) if self.fit.problem.shared else []

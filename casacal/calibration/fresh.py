@@ -69,7 +69,7 @@ class Fresh:
         return self.fitted(self.at)
 
     def fitted(self, at: Array) -> Array:
-        """The same with what is known held elsewhere (n,)."""
+        """All unknowns (n,) with the known ones held at `at` and the others fitted to these rows."""
         part = Conditioned(self.bound, ~self.known, at)
         return np.asarray(part.expand(lm(part).x))
 
@@ -94,7 +94,7 @@ class Fresh:
         return FreshRows(np.concatenate([bound.residual(self.x), off]), spread, slopes[:, free])
 
     def loosened(self, stds: Mapping[str, float | None]) -> Fresh:
-        """The same with more doubt about what they are judged by: C' = C + E S^2 E'.
+        """A copy whose calibrated unknowns have a larger covariance, C' = C + E S^2 E'.
 
         stds: standard deviations (mm, rad) by the name of an unknown ("theta4"), the key of several ("theta"), a face
         ("floor"), or a joint ("joint4"), whose zero may then be elsewhere; None for anywhere. Raises UnknownNameError
@@ -143,12 +143,12 @@ class Fresh:
 
     @property
     def gaussian(self) -> Gaussian:
-        """What the calibration knows, all of it together: the prior of these rows."""
+        """Joint distribution of the calibrated unknowns: the prior of these rows."""
         names = tuple(name for name, known in zip(self.bound.names, self.known, strict=True) if known)
         return Gaussian(names, self.at[self.known], self.covariance)
 
     def some(self, rows: NDArray[np.intp]) -> FreshRows:
-        """The same of some residuals alone, with all priors."""
+        """The linear model of some residuals (rows), with every prior row."""
         return self.linear.take(np.concatenate([rows, np.arange(self.bound.rows, len(self.linear.residual))]))
 
 
@@ -156,7 +156,7 @@ ANEW = ("growth",)  # keys of effects that move the tip and differ from session 
 
 
 def with_memory(fresh: Fresh, arm: CalibratedArm) -> Fresh:
-    """The same rows with the geometry and the effects that go with the arm as they were estimated, and how well.
+    """A copy that takes geometry and effects of the arm, with their joint covariance, from the earlier result.
 
     Itself where a result says nothing of effects.
     """

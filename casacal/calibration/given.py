@@ -1,4 +1,4 @@
-"""What a calibration is given: problem and samples from any source, and a method by name; and that method run."""
+"""Inputs of a calibration: problem and samples from any source, a method by name; and how that method is run."""
 
 from __future__ import annotations
 
@@ -174,7 +174,7 @@ is their ratio.
 
 @dataclass(frozen=True, eq=False)
 class Reference(Value):
-    """What an independent solver found on the same objective."""
+    """Result of an independent solver on the same objective."""
 
     solver: str
     result: Result

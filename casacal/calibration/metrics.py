@@ -10,7 +10,7 @@ from casacal.uncertainty.figures import residual_figures
 
 Figures: TypeAlias = dict[str, float]
 Metrics: TypeAlias = dict[str, dict[str, Figures | None]]
-"""By "before" and "after", then by "fit" and "heldout"; None where no row is held out."""
+"""Keys "before" and "after", then "fit" and "heldout"; None where no row is held out."""
 
 Pair: TypeAlias = tuple[Array, Array]  # unknowns (n,) before and after
 
@@ -18,7 +18,7 @@ Pair: TypeAlias = tuple[Array, Array]  # unknowns (n,) before and after
 def metrics_of(
     fit: BoundProblem, heldout: BoundProblem | None, xs: Pair, held: Pair, *, part: str | None = None
 ) -> Metrics:
-    """Of all residuals in the unit in which their instrument speaks, or of one of `parts_of` in its own."""
+    """Residual figures in the instrument's unit; with `part`, of one of `parts_of` in its own unit."""
 
     def figures(bound: BoundProblem, x: Array) -> Figures | None:
         if part is None:

@@ -42,7 +42,7 @@ class Motion:
 
     @staticmethod
     def of(fit: BoundProblem, result: Result, used: Array, corrected: Collection[str] = ()) -> Motion:
-        """Of a fit, and of the arm as used (n,); of the effects corrected in it, those in doubt count as errors too."""
+        """Motion of a fit whose arm is used at `used` (n,); corrected effects that are in doubt count as errors too."""
         doubted = doubtful(fit, corrected) if corrected else set()
         sure = used_arm(fit, result, set(corrected) - doubted) if doubted else used
         arm, estimate = moving(fit, result.x)
@@ -98,7 +98,7 @@ def _over_workspace(fit: BoundProblem, arm: ArmAlone, x: Array) -> Array:
 
 
 def _where_seen(fit: BoundProblem, x: Array) -> Array:
-    """The same (k, n) at the rows, apart from where stations and the like stand; none where they see no tip."""
+    """Moves of the tip (k, n) at the rows, freed of station poses and the like; empty where rows do not see the tip."""
     if not sees_the_tip(fit):
         return np.zeros((0, fit.unknowns))
     some = fit.thinned(MOST_ROWS)
@@ -160,7 +160,7 @@ class Tried(Value):
 
     @property
     def became(self) -> str:
-        """What became of an effect that the rows speak for, and why, as a clause."""
+        """Whether an effect was corrected, and why, as a clause."""
         splits = ", ".join(f"{name} {gain:+.1f}" for name, gain in self.unseen.items())
         became = "corrected" if self.corrected else "not corrected"
         if self.told:

@@ -61,7 +61,7 @@ class Judged:
 
     @property
     def own_verdict(self) -> list[str]:
-        """What the result says of itself, where that is not the best; a sentence, or none."""
+        """The result's own verdict as a sentence, where it is not simply calibrated; otherwise empty."""
         level, words = self.verdict
         return [] if level in ("", "calibrated") else [f"The result's own verdict: {words}"]
 
@@ -71,13 +71,13 @@ class Judged:
         return [f"{counted(len(lines))} {why.format(self.samples)}." for lines, why in found if lines]
 
     def fitted_words(self, names: str = "") -> str:
-        """What was fitted to these rows and what was taken to stand, as clauses; `names` of what was fitted."""
+        """Clauses on the unknowns fitted to these rows and on what was assumed not to have moved."""
         own = f"{counted(len(self.own), 'unknown')} fitted to these rows{names}"
         still = f"; assumed not to have moved: {', '.join(self.standing)}" if self.standing else ""
         return (own if self.own else "nothing fitted to these rows") + still
 
     def document(self, first: Mapping[str, Any], found: Any, instead: Mapping[str, Any]) -> dict[str, Any]:
-        """What was found of them, a dataclass, in JSON's own types after what comes first; some in another form."""
+        """JSON document: entries of `first`, then the fields of `found`, those in `instead` replaced."""
         level, words = self.verdict
         rows = {each.name: getattr(self, each.name) for each in fields(self)}
         rows["verdict"] = {"level": level, "words": words} if level else None
@@ -243,7 +243,7 @@ def fresh_among(arm: CalibratedArm, source: ProblemFile, rows: Samples, *, other
 
 
 def _unlabelled(fresh: Samples, source: ProblemFile, arm: CalibratedArm) -> list[str]:
-    """That rows do not say which face they are on, where those that were fitted were on several."""
+    """A remark where rows lack the face column although the calibration had several faces."""
     groups = source.problem.instrument.groups
     if groups is None or fresh.labels[groups].names != (groups,):
         return []
@@ -259,7 +259,7 @@ def _unlabelled(fresh: Samples, source: ProblemFile, arm: CalibratedArm) -> list
 
 
 def _same_postures(fresh: Samples, source: ProblemFile, fitted: Mapping[str, Any] | None) -> list[str]:
-    """That most rows are in postures that were fitted, which a result with wrong parameters predicts as well."""
+    """A remark where most rows repeat fitted postures, which even wrong parameters predict."""
     again = 0 if fitted is None else int(in_fitted_postures(fresh, source.problem.layout(), fitted).sum())
     if again < SPENT * len(fresh):
         return []

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from casacal.calibration.earlier import EarlierResult
 
 FILES = ("report.html", "result.json", "parameters.csv", "residuals.png", "convergence.png")
-"""What a calibration writes, most read first."""
+"""Files that a calibration writes, most read first."""
 PLACED = (*(name for name in FILES if name != "result.json"), "result.json")
-"""The same in the order of their placing: where result.json stands, all stand."""
+"""These files in the order of placing: result.json last, so that where it stands all stand."""
 
 
 def calibration_document(
@@ -65,7 +65,7 @@ def calibration_document(
 def found_part(
     calibration: Calibration, source: ProblemFile | None = None, *, folder: Path | None = None
 ) -> dict[str, Any]:
-    """What others rely on of it, without what only people read: little of it takes time to work out."""
+    """The part of result.json that other tools rely on; the rest is for people and takes longer to compute."""
     result, fit, verdict = calibration.result, calibration.fit, verdict_of(calibration)
     denied = verdict.level == "do not use"
     return {

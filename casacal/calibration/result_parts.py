@@ -96,7 +96,7 @@ def parameter_rows(calibration: Calibration) -> list[dict[str, Any]]:
 
 
 def rows_of(bound: BoundProblem, x: Array, stds: Array, known: Sequence[str]) -> list[dict[str, Any]]:
-    """The same of any unknowns x (n,), their standard deviations (n,), and what each is known from."""
+    """One entry per parameter at x (n,), with its standard deviation (n,) and what it is known from."""
     rows = []
     for name, unit, nominal, j in bound.parameters():
         if j is None:
@@ -134,7 +134,7 @@ def noise_part(calibration: Calibration) -> dict[str, Any]:
 
 
 def discrepancy_part(calibration: Calibration) -> dict[str, Any] | None:
-    """What arm and cell do beside their geometry: sizes, how well all that moves the tip is known, what columns tell.
+    """Non-geometric effects: sizes, joint covariance of all that moves the tip, columns that drive an effect.
 
     None where geometry was taken for all there is.
     """
@@ -184,7 +184,7 @@ def picked(of: object, *names: str) -> dict[str, Any]:
 
 
 def reference_part(reference: Reference | None) -> dict[str, Any] | None:
-    """What the independent solver found; None where none was asked."""
+    """The independent solver's result; None where none ran."""
     if reference is None:
         return None
     found = picked(reference, "solver", "cost", "relative_gap")

@@ -202,7 +202,7 @@ def parameter_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SavedCalibration(Value, AsArm):
-    """What `load` returns: the arm of a result.json or a truth, without the samples it came from."""
+    """A calibration read back from result.json or a truth, without its samples; returned by `load`."""
 
     found: CalibratedArm
 

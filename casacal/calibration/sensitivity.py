@@ -47,7 +47,7 @@ class Sensitivity(Value):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def without_tips(self) -> Sensitivity:
-        """The same where nothing is known of the tip."""
+        """A copy with NaN in place of every tip error."""
         nothing = {name: np.full_like(getattr(self, name), np.nan) for name in ("tip_by_row", "tip_by_prior")}
         return replace(self, **nothing)
 
@@ -62,7 +62,7 @@ class Sensitivity(Value):
 
 
 def sensitivity(fit: BoundProblem, result: Result, tip: Array) -> Sensitivity:
-    """Of a minimum; tip: derivative (3 M, n) of M tips by the unknowns, mm.
+    """Sensitivity at a minimum; tip: derivative (3 M, n) of M tips by the unknowns, mm.
 
     Raises CasacalError where the estimate is no minimum of the plain objective, or rows are too many.
     """

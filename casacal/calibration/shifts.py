@@ -33,7 +33,7 @@ class Shifts(Term):
     words = "a change since the calibration"
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
-        """Of every joint, and three places and three turns of tool and base."""
+        """Coordinates of a shift: one per joint, and three translations and three rotations of tool and base."""
         each = [0.0] * len(site.robot.axes)
         found = {JOINTS: Parameter(each, unit="rad", prior_std=self.size)}
         for key, unit in ((TOOL, "mm"), (TURN, "rad"), (BASE, "mm"), (BASE_TURN, "rad")):
@@ -52,7 +52,7 @@ class Shifts(Term):
 
 
 def with_shifts(bound: BoundProblem) -> BoundProblem:
-    """The same rows with these unknowns after all others; priors of terms are lost."""
+    """The rows with the shifts as further unknowns after all others; priors of terms are lost."""
     problem = bound.problem
     return bound.under(problem.with_terms(*problem.terms, Shifts()))
 

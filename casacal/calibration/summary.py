@@ -163,7 +163,7 @@ def _next_steps(calibration: Calibration) -> str:
 
 
 def _beside(calibration: Calibration) -> str:
-    """What the rows show beside the geometry, and what became of each correction that was tried."""
+    """Non-geometric effects that the rows show, and what became of each correction that was tried."""
     table = tables.effects(calibration)
     if not table.rows:
         return ""

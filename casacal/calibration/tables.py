@@ -105,7 +105,7 @@ def correlations(calibration: Calibration) -> PrintedTable:
 
 
 def next_steps(calibration: Calibration) -> PrintedTable:
-    """What to do next, best first, with the tip error to expect after it."""
+    """Next steps, best first, with the expected tip error after each."""
     cures = [[cure.words, mm(cure.expected_rms_mm), "yes" if cure.recommended else "no"] for cure in calibration.cures]
     rows = [*cures, ["As it is", mm(calibration.tip_std[1]), "–"]] if cures else []
     return PrintedTable(["Next step", "#Tip error, RMS", "Recommended"], rows)
@@ -148,7 +148,7 @@ def effects(calibration: Calibration) -> PrintedTable:
 
 
 def corrected_words(calibration: Calibration) -> list[str]:
-    """What is corrected, and what is to be expected where nobody can; nothing where nothing is."""
+    """Corrected effects and the tip error of a controller that cannot correct them; empty where none is corrected."""
     named = listed([each.words for each in calibration.tried if each.corrected])
     if not named:
         return []

@@ -84,7 +84,7 @@ def _expected(calibration: Calibration) -> str:
 
 
 def _against(calibration: Calibration) -> list[tuple[str, str]]:
-    """What makes a result unusable: a clause for the verdict's sentence, and a sentence of its own."""
+    """Reasons to refuse a result: for each a clause for the verdict's sentence, and a full sentence."""
     found = [(clause, sentence(clause)) for clause in held_as_drawn(calibration)]  # it may look like wrong samples
     found += [(clause, sentence(clause)) for clause in earlier_contradicted(calibration)]
     found += [(clause, sentence(clause)) for clause in _out_of_reach(calibration)]
@@ -112,7 +112,7 @@ def wrong_with_samples(calibration: Calibration) -> tuple[Finding, ...]:
 
 
 def _unfinished(calibration: Calibration) -> tuple[str, str]:
-    """That the method did not finish, and why: its own words, or that whole directions are left without an end."""
+    """Reason of a method that did not finish: unbounded directions where there are any, else its own message."""
     flat = ~np.isfinite(calibration.bare.prior_std)
     null = [np.abs(each.direction) > MEMBER for each in calibration.identifiability.null]
     loose = [members for members in null if flat[members].all()]
@@ -127,7 +127,7 @@ def _unfinished(calibration: Calibration) -> tuple[str, str]:
 
 
 def _missed_minimum(calibration: Calibration) -> list[str]:
-    """Why the estimate is not the minimum, or nothing.
+    """Reasons why the estimate is not the minimum; empty where it is.
 
     A method that promises the minimum must meet the reference; any other may miss it by what the estimate's own spread
     explains: twice the cost above the minimum is then about chi-square with as many degrees of freedom as unknowns.
@@ -194,7 +194,7 @@ CONTRADICTED = 1e-3  # chance below which new rows do not fit what an earlier re
 
 
 def earlier_contradicted(calibration: Calibration) -> list[str]:
-    """That new rows lie where the earlier result, with what was loosened, does not expect them."""
+    """A reason where new rows contradict the earlier result, given what was loosened."""
     chance_of_rows = calibration.earlier_chance
     if calibration.earlier is None or not chance_of_rows < CONTRADICTED or not calibration.result.converged:
         return []

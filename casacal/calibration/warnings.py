@@ -31,7 +31,7 @@ REPEAT = (
     "touch some places three times each, which separates the scatter of touches from errors of the model; or state "
     "the noise, if it is known to be larger (--set noise_std=MM)"
 )
-"""What settles a doubt whose cause nobody knows."""
+"""Step that settles a doubt of unknown cause."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def warnings(calibration: Calibration) -> list[str]:
 
 
 def doubts(calibration: Calibration) -> list[Doubt]:
-    """The same, each with its clause."""
+    """Doubts about a calibration, most telling first; empty when there is nothing to warn of."""
     if not calibration.fit.unknowns:  # nothing moved, and nothing is known better or worse
         return []
     found: tuple[Callable[[Calibration], Doubt | None], ...] = (
@@ -77,7 +77,7 @@ def doubts(calibration: Calibration) -> list[Doubt]:
 
 
 def _since_earlier(calibration: Calibration) -> Doubt | None:
-    """What an earlier result leaves open: its own doubts, and what these rows alone put right."""
+    """A doubt inherited from the earlier result, or caused by what was loosened since."""
     earlier = calibration.earlier
     assert earlier is not None
     if earlier.loosened:
@@ -116,7 +116,7 @@ def _far_parameters(calibration: Calibration) -> Doubt | None:
 
 
 def _what_check_says(calibration: Calibration) -> str:
-    """What the data check says of the cause, or that nobody asked it."""
+    """The data check's finding on the cause, as a clause; where it did not run, a pointer to it."""
     if not calibration.suspicious:
         return "casacal check looks for the cause"
     named = [error.about for error in calibration.data_errors if error.about != "misfit"]
@@ -283,4 +283,4 @@ def larger_than_any(calibration: Calibration) -> Doubt | None:
 
 
 AS_DRAWN = (_far_parameters, _loose_priors, _unknown_places)
-"""What is asked of an arm of which nothing but its drawing is known."""
+"""Doubts that compare with the drawing; a calibration with an earlier result skips them."""

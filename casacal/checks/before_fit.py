@@ -1,4 +1,4 @@
-"""What rows and set-up say before any fit: repeats, ranges and rounding, labels, faces, and the sign of the dial."""
+"""Checks before any fit: repeats, ranges, rounding, labels, faces, and the sign of the dial."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def _beyond_limits(samples: Samples, name: str, kind: Dimension, ends: tuple[flo
 
 
 def _declared(least: float, most: float, low: float, high: float) -> str:
-    """What to do about readings from least to most (mm) where they should be from low to high."""
+    """Advice on readings that span least to most (mm) where low to high is declared."""
     rest = "otherwise check these rows and the unit of the column"
     top = math.ceil(most if low == 0 else max(most, high))  # two ends that were declared are kept where they suffice
     ends = f"{math.floor(min(least, low)):g}:{top:g}"

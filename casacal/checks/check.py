@@ -134,7 +134,7 @@ ORDER = {"error": 0, "warning": 1, "remark": 2}
 
 
 def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, ...]:
-    """What is wrong, weak or worth knowing about samples; worst first.
+    """Findings on samples, worst first: errors, weaknesses, and remarks.
 
     Of several instruments each is looked at by itself, and then whether all agree about one arm.
 
@@ -286,11 +286,11 @@ def _rows(bound: BoundProblem) -> list[Finding]:
 UNBOUND = "cannot be bound"
 
 OF_ALL = ("few rows", NO_LENGTH)
-"""What is asked of the rows of all instruments together, not of each; what faces do not tell, another may."""
+"""Findings that concern all instruments together: what one cannot observe, another may."""
 
 
 def _of_several(problem: Problem, measured: Measurements) -> list[Finding]:
-    """What is wrong with each instrument's samples, and with all together.
+    """Findings on each instrument's samples, and on all together.
 
     An instrument whose rows cannot be fitted without the others is looked at row by row alone.
     """

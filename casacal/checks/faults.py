@@ -1,4 +1,4 @@
-"""What people do wrong with samples and the problem file, and the cause of a misfit, found by undoing it."""
+"""Mistakes people make in samples and problem file; the cause of a misfit is found by undoing each."""
 
 from __future__ import annotations
 
@@ -403,7 +403,7 @@ RIVALS = 3  # faults that would explain it equally well and are named
 
 @dataclass(frozen=True)
 class MisfitCause:
-    """What explains a misfit, as a finding, and problem and samples without it."""
+    """Cause of a misfit as a finding, and problem and samples with it undone."""
 
     finding: Finding
     undone: Undone
@@ -446,7 +446,7 @@ def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = 
 
 
 def _one(fault: Fault, before: _Attempt) -> Iterator[_Attempt]:
-    """What is left with a fault undone on top of others; nothing where it cannot be."""
+    """The attempt with one more fault undone; nothing where it cannot be undone."""
     try:
         undone = fault.undo(before.undone.problem, before.undone.samples)
     except CasacalError:  # such as a tool of an instrument that holds it
@@ -456,13 +456,13 @@ def _one(fault: Fault, before: _Attempt) -> Iterator[_Attempt]:
 
 
 def _looked_at_closely(tried: list[_Attempt]) -> list[_Attempt]:
-    """The same trials, the most promising of them fitted to the end; no other explains anything."""
+    """The trials with the most promising ones fitted to the end, and the misfit of all others infinite."""
     closer = {id(trial) for trial in sorted(tried, key=lambda trial: trial.size)[:PROMISING]}
     return [_to_the_end(trial) if id(trial) in closer else replace(trial, size=math.inf) for trial in tried]
 
 
 def _to_the_end(trial: _Attempt) -> _Attempt:
-    """The same trial with its final misfit: infinite where joints mixed up among the rows would fit about as well."""
+    """A trial with its final misfit: infinite where shuffled joint values would fit about as well."""
     size = _left(trial.undone, STEPS)
     if size > EXPLAINED:
         return replace(trial, size=size)
@@ -491,7 +491,7 @@ def _pairs(tried: list[_Attempt], problem: Problem) -> list[_Attempt]:
 
 
 def _simplest(tried: list[_Attempt]) -> _Attempt | None:
-    """Of those that explain about as well as the best, the one of least freedom, then the first."""
+    """The trial of least freedom among those that explain about as well as the best; ties go to the first."""
     least = min((trial.size for trial in tried), default=math.inf)
     if least == math.inf:
         return None

@@ -1,4 +1,4 @@
-"""What is told of samples, and faults that are suspected in them: undone, how well all fits then."""
+"""Findings on samples, suspected faults, and the misfit that is left when one is undone."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ def priors_of(problem: Problem) -> Iterator[tuple[str, str, float, str]]:
 
 
 def as_good(bound: BoundProblem, groups: Mapping[str, Sequence[str]], freed: Result) -> dict[str, str]:
-    """Of groups of unknowns by title those that explain rows as well as a fit with something freed, and by how much.
+    """Groups of unknowns, by title, that explain the rows as well as `freed` does, each with its deviation.
 
     bound: the rows with every prior as stated. Each group is fitted with its own priors away.
     """
@@ -176,7 +176,7 @@ def wrong_number(bound: BoundProblem, *, alone: bool = False) -> list[Finding]:
 
 
 def _rivals(bound: BoundProblem, name: str, freed: Result) -> dict[str, str]:
-    """What else of tool, instrument and arm explains the rows as well, by name, and by how much.
+    """Other numbers of tool, instrument and arm that explain the rows as well, each with its deviation.
 
     The instrument's own numbers come first, the tool before all others: it is what people exchange and mistype.
     """
@@ -188,7 +188,7 @@ def _rivals(bound: BoundProblem, name: str, freed: Result) -> dict[str, str]:
 
 
 def _one_of(problem: Problem, rivals: Mapping[str, str], name: str, size: str) -> Finding:
-    """That one of several numbers that rows cannot tell apart is another than the problem says."""
+    """An error on one of several numbers that the rows cannot tell apart."""
     probe = problem.instrument.probe
     zero = " and the zero of the dial" if probe is not None and probe.column is not None else ""
     said = [f"{'the ' if title == 'tool' else ''}{title} ({by})" for title, by in rivals.items()]
@@ -205,7 +205,7 @@ def _one_of(problem: Problem, rivals: Mapping[str, str], name: str, size: str) -
 
 
 def wrong_scale(bound: Seen, x: Array, covariance: Array) -> list[Finding]:
-    """That all lengths of an estimate x (n,) are wrong by one part, as an instrument of a wrong scale has it.
+    """A finding where all lengths of an estimate x (n,) share a scale error, as after an instrument of wrong scale.
 
     No arm is built so, and such rows fit well. It counts where it moves the tip, over the workspace and apart from the
     base, by more than half of what this is expected to err. A dial on planes, which contain no length, is an error.
@@ -276,7 +276,7 @@ def not_the_same(bound: BoundProblem, result: Result) -> list[Finding]:
 
 
 def without_its_likes(findings: Iterable[Finding]) -> list[Finding]:
-    """What was found, but for numbers that look like others because the scale of the readings is wrong."""
+    """The findings without numbers that only look wrong because the scale of the readings is."""
     found = list(findings)
     scaled = any(each.about == SCALE for each in found)
     if any(each.about.startswith(("tool or ", "tool, ")) for each in found):

@@ -147,7 +147,7 @@ def single_rows(bound: BoundProblem, result: Result, found: Outliers) -> list[Fi
 
 
 TURNS_MM = (1.0, 0.5, 2.54, 0.2)
-"""What one turn of a pointer shows, by the dials that are sold; several turns are only looked for of the first."""
+"""Length that one turn of a pointer shows, by dials on sale; several turns are only looked for of the first."""
 SHORT_TRAVEL = 2.0  # travel (mm) up to which a dial has turns of less than half a millimetre
 MOST_TURNS = 3
 SURE = 4.0  # standard deviations within which a reading must then fit

@@ -63,7 +63,7 @@ def _table(
 
 
 def _columns(touches: Touches) -> list[dict[str, Any]]:
-    """What the instrument read, column by column."""
+    """A table with the range of each column that the instrument read."""
     spans = [
         [name, fixed(float(values.min()), 3), fixed(float(values.max()), 3)]
         for name, values in ((name, touches.samples.columns[name]) for name in touches.instrument.columns)
@@ -73,7 +73,7 @@ def _columns(touches: Touches) -> list[dict[str, Any]]:
 
 
 def _plane_names(instrument: str, label: str) -> tuple[str, ...]:
-    """What the plane of a face may be called among all, the likeliest first."""
+    """Names under which the plane of a face may be listed, likeliest first."""
     return (f"{instrument} {label}", instrument, label, "plane") if instrument else (label, "plane")
 
 

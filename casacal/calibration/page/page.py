@@ -105,7 +105,7 @@ def _verdict(calibration: Calibration) -> dict[str, Any]:
 
 
 def _figures(calibration: Calibration) -> list[tuple[str, str, str]]:
-    """What stands in the boxes under the verdict: title, value, words."""
+    """The boxes under the verdict: title, value and explanation of each."""
     before, after, (drawn, now) = calibration.metrics["before"], calibration.metrics["after"], calibration.tip_std
     was, left, where = before["fit"], after["fit"], "fitted rows"
     if after["heldout"] is not None:

@@ -43,7 +43,7 @@ class Part:
     weight: Array  # under a robust loss (N,), the smallest of a row's residuals; one without
 
     def residuals(self, when: When) -> Array:
-        """Of one of the two arms (N, m), mm."""
+        """Residuals (N, m; mm) of the arm before or after calibration."""
         return self.before if when == "before" else self.after
 
     @cached_property
@@ -58,7 +58,7 @@ class Part:
 
     @property
     def labels(self) -> Labels | None:
-        """What the rows are grouped by (N,); None where nothing groups them."""
+        """Group label of each row (N,); None for an instrument without groups."""
         return self.samples.labels.get(self.bound.problem.instruments[self.instrument].groups or "")
 
     def rows_of(self, label: str) -> Rows:
@@ -102,7 +102,7 @@ class Touches:
 
     @property
     def instrument(self) -> Instrument:
-        """What measured the rows."""
+        """The instrument that measured the rows."""
         return self.calibration.fit.problem.instruments[self.number]
 
     @property
@@ -127,7 +127,7 @@ class Touches:
 
     @property
     def series(self) -> tuple[str, ...]:
-        """What residuals are drawn beside one another: faces, or coordinates where a row has several residuals."""
+        """Series drawn side by side: one per face, or one per coordinate where a row has several residuals."""
         count = self.parts[0].after.shape[1]
         return self.faces if count == 1 else tuple(COORDINATES[:count]) if count <= 3 else tuple(map(str, range(count)))
 
