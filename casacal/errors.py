@@ -1,4 +1,4 @@
-"""What casacal says when it refuses: what came, what exists, what to do."""
+"""Errors of casacal: what came, what exists, what to do."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ LONGEST = 1000  # letters of a refusal that anybody reads
 
 
 def came(value: object) -> str:
-    """What came, in a sentence: "a list", "an int", "nothing"."""
+    """Type of a value in words for a sentence: "a list", "an int", "nothing"."""
     if value is None:
         return "nothing"
     name = type(value).__name__
@@ -18,7 +18,7 @@ def came(value: object) -> str:
 
 
 def said(error: BaseException) -> str:
-    """What somebody else's exception says, on one line: "ValueError: too small"."""
+    """Text of somebody else's exception on one line: "ValueError: too small"."""
     return f"{type(error).__name__}: {' '.join(str(error).split()).rstrip('.') or 'no message'}"
 
 

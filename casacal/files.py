@@ -149,7 +149,7 @@ def write_json(path: str | Path, document: Mapping[str, Any]) -> None:
 
 
 def json_text(document: Mapping[str, Any], *, ascii_only: bool = False) -> str:
-    """The same as text; `ascii_only` escapes every other letter."""
+    """A document as JSON text; `ascii_only` escapes every other letter."""
     return json.dumps(jsonable(document), indent=1, ensure_ascii=ascii_only, allow_nan=False) + "\n"
 
 

@@ -41,7 +41,7 @@ def thread_count(asked: int | None = None) -> int:
 
 
 def shared_out(task: Callable[[Item], Made], items: Iterable[Item], threads: int) -> list[Made]:
-    """What a task makes of each item, in the order of the items; the calling thread takes its share.
+    """Results of a task for each item, in the order of the items; the calling thread takes its share.
 
     A thread that has finished an item takes the next one, for processors are seldom equally fast.
     """

@@ -1,4 +1,4 @@
-"""What commands share: how problems, samples and results are named, options that change a problem, exit codes."""
+"""Shared by commands: arguments for problems, samples and results, options that change a problem, exit codes."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def add_frame(parser: argparse.ArgumentParser, words: str) -> None:
 
 
 def of_instrument(source: ProblemFile, name: str | None) -> ProblemFile:
-    """The same arm measured by one of its instruments; CasacalError where there are several and none is named."""
+    """The arm with one of its instruments; CasacalError where there are several and none is named."""
     problem = source.problem
     if name is None and len(problem.instruments) > 1:
         fix = f"Name it: --instrument {problem.names[0]}"
@@ -331,7 +331,7 @@ def table_of(source: ProblemFile, options: argparse.Namespace) -> float:
 
 
 def on_table(source: ProblemFile, options: argparse.Namespace) -> ProblemFile:
-    """The same with the table that was named, and faces above it where the problem file has no cell of its own."""
+    """The cell with the table that was named, and faces above it where the problem file has no cell of its own."""
     from casacal.simulation.cell import Disturbances
     from casacal.simulation.touches import default_cell
 

@@ -1,4 +1,4 @@
-"""What a terminal can show: width, colour, letters; and output whose reader has gone away."""
+"""Terminal capabilities (width, colour, letters), and output whose reader has gone away."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def prepare() -> None:
 
 @contextmanager
 def on_stderr() -> Iterator[None]:
-    """What others print meanwhile, such as solvers of CasADi, goes to the errors: a program may read the output."""
+    """Send what others print meanwhile, such as CasADi's solvers, to stderr: a program may read the output."""
     with redirect_stdout(sys.stderr):
         kept = os.dup(1)
         os.dup2(2, 1)

@@ -37,7 +37,7 @@ class CalibratedArm(Value):
 
     @cached_property
     def found(self) -> CalibrationResult:
-        """The same with types."""
+        """The document as a typed value."""
         return result_of(self.document)
 
     def with_its_kit(self, problem: Problem) -> Problem:

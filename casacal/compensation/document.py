@@ -1,4 +1,4 @@
-"""What a result.json must hold: refused in a sentence that names the part, before anything relies on it."""
+"""Check of a result.json: refused in a sentence that names the part, before anything relies on it."""
 
 from __future__ import annotations
 

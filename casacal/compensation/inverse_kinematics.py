@@ -204,7 +204,7 @@ def _where(positions: Array, rotations: Array) -> Array:
 
 
 def _one_branch(arm: PosedArm, found: list[Array]) -> Array:
-    """Of each row's postures the one nearest to the row before; whole turns are taken where the limits allow."""
+    """For each row the posture nearest to the row before; whole turns are taken where the limits allow."""
     lower, upper = arm.robot.limits
     last = (lower + upper) / 2
     turns = np.where(arm.robot.revolute, 2 * np.pi, np.inf)

@@ -48,7 +48,7 @@ class Prediction(Value):
 
     @property
     def poses(self) -> Array:
-        """The same as transforms (N, 4, 4), mm."""
+        """Poses as transforms (N, 4, 4), mm."""
         poses = np.tile(np.eye(4), (len(self.positions), 1, 1))
         poses[:, :3, :3] = turns_of(self.quaternions)
         poses[:, :3, 3] = self.positions

@@ -30,7 +30,7 @@ LONGEST = 300  # letters in a comment
 
 @dataclass(frozen=True)
 class Language:
-    """What a controller reads: comment mark, six joint values and their rounding, and the lines around the moves."""
+    """Syntax of a controller: comment mark, six joint values and their rounding, and the lines around the moves."""
 
     name: str
     comment: str
@@ -122,7 +122,7 @@ def text_of(compensation: Compensation, form: str, result: CalibratedArm) -> str
 
 
 def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
-    """What the file is, how it was proved, and what accuracy to expect; one sentence per line."""
+    """Origin of the file, its proof and the accuracy to expect; one sentence per line."""
     reached, targets = compensation.reached, compensation.targets
     counts = Counter(outcome.value for outcome in compensation.outcomes)
     robot = result.source.problem.robot

@@ -1,4 +1,4 @@
-"""What a calibration found, as a value with types: read once out of result.json, and taken by all that stands on it."""
+"""The result of a calibration as a typed value: read once from result.json, used by everything after it."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class EffectFound:
 
 @dataclass(frozen=True, eq=False)
 class EffectsFound(Value):
-    """What arm and cell do beside the geometry.
+    """Non-geometric effects of arm and cell.
 
     effects: all that were looked for. corrected: keys of those that are. values, of: unknowns by name, and the key of
     the effect that each belongs to. without_corrections: the geometry, by name, where nobody corrects an effect.
@@ -124,7 +124,7 @@ class FittedData(Value):
 
 @dataclass(frozen=True, eq=False)
 class CalibrationResult(Value):
-    """What a calibration found of an arm; or, method "truth", what a simulation knows of it.
+    """Calibrated parameters of an arm; or, method "truth", its true ones in a simulation.
 
     unknowns: deviations from nominal by name, mm and rad, and `proposed` what those of faces and the like count from.
     covariance (n, n) of the unknowns `covariance_of`, infinite where neither samples nor prior hold one; None where

@@ -15,7 +15,7 @@ ALL_ROWS = "plane"  # what a face is called where there is one for all rows
 
 
 def seen_by(arm: CalibratedArm, instrument: str | None = None) -> CalibratedArm:
-    """The same arm with one of its instruments, by default the first; itself where it has no other.
+    """The arm with one of its instruments, by default the first; itself where it has no other.
 
     Names of that instrument's unknowns lose its own name, as if it were the only one. What the others have for
     themselves stays under their names. Raises UnknownNameError where no instrument is called so.

@@ -211,6 +211,6 @@ class Compensation(Value):
         return np.array([outcome is Outcome.REACHED for outcome in self.outcomes])
 
     def left(self, i: int) -> str:
-        """What remains at a row that is not reached, as the end of a sentence; nothing where that is not known."""
+        """Miss that remains at a row that is not reached, as the end of a sentence; empty where unknown."""
         mm, mrad = self.residual_mm[i], 1e3 * self.residual_rad[i]
         return f"; {mm:.3f} mm and {mrad:.3f} mrad remain at the {self.frame}" if math.isfinite(mm + mrad) else ""

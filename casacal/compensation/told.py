@@ -38,7 +38,7 @@ class TellingColumns:
 
     @staticmethod
     def by(arm: CalibratedArm, rows: Samples) -> TellingColumns:
-        """What rows tell of an arm; raises SamplesError where a column that tells an effect holds what it may not."""
+        """Columns of rows that drive an effect; raises SamplesError where one holds what it may not."""
         further = arm.found.effects.further
         if not further:
             return NOTHING

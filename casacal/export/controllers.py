@@ -1,4 +1,4 @@
-"""What controllers take: zero corrections, Universal Robots' kinematics file, and the URDF that the arm came from."""
+"""Formats of controllers: zero corrections, Universal Robots' kinematics file, and the URDF the arm came from."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every exported file says about itself: where it comes from, and how far to trust it."""
+"""Remark in every exported file: where it comes from, and how far to trust it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a plan becomes to take along: ways from touch to touch, a controller's program, a sheet to write on.
+"""Handouts of a plan: approaches from touch to touch, a controller's program, a sheet to write on.
 
 A program goes above each touch, down slowly, waits for the reading, and goes back, clear of the faces all along, in
 RAPID (ABB), KRL (KUKA) or URScript (Universal Robots); moves are of the joints, with the values of the plan. The sheet

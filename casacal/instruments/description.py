@@ -1,4 +1,4 @@
-"""What an instrument says of itself: blocks of its residual, words, what it touches and sees, mistakes to expect."""
+"""Description of an instrument: blocks of its residual, words, probe, suspected mistakes."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ UNIT_MISTAKES = {
     1000.0: "metres, written as mm, or mm, written as micrometres",
     0.001: "micrometres, written as mm",
 }
-"""What readings may be by mistake, by the factor that mends it."""
+"""Units in which readings may be by mistake, by the factor that corrects them."""
 
 ANGLE_UNITS = {180 / math.pi: "radians, written as degrees", math.pi / 180: "degrees, written as radians"}
 """The same of angles."""

@@ -211,13 +211,13 @@ class DialOnPlane(Instrument):
         return (Suspect("wrong dial sign", cause, fix, ("reading",), -1.0), *units_mistaken(self.columns))
 
     def with_faces_by_label(self) -> DialOnPlane | None:
-        """The same with a plane for each label; None where a further face needs a certified angle."""
+        """A copy with a plane for each label; None where a further face needs a certified angle."""
         if self.probe.knows_angles:
             return None
         return self if self.plane.per is not None else replace(self, plane=replace(self.plane, per="plane"))
 
     def with_step(self, label: str, on: str, height: float) -> DialOnPlane | None:
-        """The same with one more step; None where the faces of a body have places of their own."""
+        """A copy with one more step; None where the faces of a body have places of their own."""
         return None if self.probe.knows_angles else replace(self, steps={**self.steps, label: Step(on, height)})
 
     def plunger_direction(self, pose: Expression, p: Any) -> Expression:

@@ -161,7 +161,7 @@ class Instrument(Portable, ABC):
 
     @property
     def probe(self) -> Probe | None:
-        """What touches flat faces; None for an instrument that measures otherwise."""
+        """The probe that touches flat faces; None for other instruments."""
         return None
 
     @property
@@ -170,11 +170,11 @@ class Instrument(Portable, ABC):
         return mistakes_in(self.columns)
 
     def with_faces_by_label(self) -> Instrument | None:
-        """The same with a face of its own for each label, for `cures` that add one; None where that means nothing."""
+        """A copy with a face of its own for each label, for `cures` that add one; None where that has no meaning."""
         return None
 
     def with_step(self, label: str, on: str, height: float) -> Instrument | None:
-        """The same with a face at a known height (mm) on another one; None where that means nothing."""
+        """A copy with a face at a known height (mm) on another one; None where that has no meaning."""
         del label, on, height
         return None
 
@@ -250,7 +250,7 @@ def tool_point(
 
 @dataclass(frozen=True, kw_only=True)
 class ToolTip(Instrument):
-    """What instruments share that see one point of the flange, `tool` (mm); each says what it sees of it.
+    """Base of instruments that observe one point of the flange, `tool` (mm).
 
     noise_std: standard deviation of each residual, mm; raises ProblemError for one that is not positive.
     """
@@ -299,7 +299,7 @@ def _declared(name: str, before: Any = None) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class TracedInstrument(Instrument):
-    """What an instrument declares, and its functions as a graph.
+    """Declarations of an instrument, and its functions as a graph.
 
     declared: its properties of `DECLARED`, by name. values: unknowns of the robot and its own, by key, in the order of
     the graph's arguments. graph: flange pose (4x4, mm), their packed values, and the row's columns to residual, tip (3,

@@ -176,7 +176,7 @@ class TrackedPose(Instrument):
         return rotation(chain(*(turns if self.orientation.isupper() else reversed(turns))))
 
     def quaternions(self, columns: Mapping[str, Array]) -> Array:
-        """Of all rows (N, 4): w, x, y, z; raises ProblemError where a device has lost the body."""
+        """Quaternions (N, 4; w, x, y, z) of all rows; raises ProblemError where a device has lost the body."""
         from scipy.spatial.transform import Rotation
 
         told = np.column_stack([columns[name] for name in self.turn_columns])

@@ -42,7 +42,7 @@ class Typed(NamedTuple):
 
 
 def help_words(problem: Problem) -> str:
-    """What may be typed at a session of a problem with one instrument, and what to see to before."""
+    """Entries that a session of a problem with one instrument accepts, and what to see to before."""
     layout, words = problem.layout(), problem.instrument.words
     read, reading = in_units(layout), "reading" if len(layout.columns) == 1 else "readings"
     said = ["Bring the arm to the posture.", *([sentence(words.approach)] if words.approach else [])]
@@ -230,7 +230,7 @@ def posture(touch: Touch, layout: Layout) -> str:
 
 
 def _told(session: Session) -> str:
-    """What the last touch said, and where the session stands."""
+    """Report of the last touch, and of where the session stands."""
     state, last = session.state, session.touches[-1]
     said = [f"touch {session.shown(len(session) - 1)} made, {len(session)} in all"]
     if state.off is not None and state.std is not None:
@@ -247,7 +247,7 @@ def _told(session: Session) -> str:
 
 
 def doubt(session: Session) -> list[str]:
-    """What is in doubt, and what would explain it: a sentence each."""
+    """Doubts about touches and their explanations, a sentence each."""
     alarm = session.alarm
     if alarm is None:
         return []
@@ -266,7 +266,7 @@ def doubt(session: Session) -> list[str]:
 
 
 def ended(session: Session) -> list[str]:
-    """What to say at the end."""
+    """Closing words of a session."""
     said, below, met = [], session.tip_error_below, ""
     if session.tolerance is not None:
         met = f", {'within' if session.done else 'not within'} the tolerance of {session.tolerance:g} mm"

@@ -1,4 +1,4 @@
-"""What gauges send, and a serial line to one by pyserial, which is an extra."""
+"""Messages of gauges, and a serial line to one by pyserial, which is an extra."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ def known_from(
 
 
 def known_before(problem: Problem, rows: Samples, places: Places, planned: Samples | None = None) -> Known:
-    """What is known before any touch, bound to some rows of faces that are planned."""
+    """Prior knowledge before any touch, bound to some rows of faces that are planned."""
     bound = _bound(problem, rows, places, planned, frozenset())
     return Known((), bound, begun(bound))
 
@@ -255,7 +255,7 @@ class LinearRows:
 
 
 def innovations_at(known: Known, touches: Sequence[Touch]) -> tuple[Array, Array]:
-    """What each touch would be off by if it came next, and the standard deviation of that, both (touches, m), mm."""
+    """Predicted residual of each touch if it came next, and its standard deviation, both (touches, m), mm."""
     rows, told = LinearRows.of(known, touches), ShiftedBelief.by(known.belief)
     found = np.array([rows.off(told, k) for k in range(len(touches))])
     return found[:, 0], found[:, 1]

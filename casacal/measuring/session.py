@@ -189,7 +189,7 @@ class Session(Value):
 
     @cached_property
     def known(self) -> Known | None:
-        """What the touches tell, or the plan before any; None where there is neither."""
+        """Knowledge from the touches, or from the plan before any; None where there is neither."""
         setting = self._setting
         if self.state.known is not None or setting.planned is None:
             return self.state.known

@@ -84,7 +84,7 @@ def joints_of(q: Sequence[float] | Array, layout: Layout) -> Array:
 
 
 def columns_of(reading: float | Mapping[str, float] | None, layout: Layout) -> dict[str, float]:
-    """What the instrument read by column; raises CasacalError where it does not fit."""
+    """Readings of the instrument by column; raises CasacalError where they do not fit."""
     asked = list(layout.columns)
     wanted = ", ".join(asked) or "no reading at all"
     if reading is not None and not isinstance(reading, Mapping):

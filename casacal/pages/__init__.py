@@ -1,1 +1,1 @@
-"""What pages are made of: templates, numbers, and pictures as inline SVG."""
+"""Building blocks of pages: templates, numbers, and pictures as inline SVG."""

@@ -24,7 +24,7 @@ PER_RAD = 100.0
 
 
 def per_radian(robot: Robot) -> list[float]:
-    """What counts as a radian of each joint: one, or `PER_RAD` mm of a sliding one."""
+    """Unit of motion of each joint: one radian, or `PER_RAD` mm of a sliding one."""
     return [1.0 if turns else PER_RAD for turns in robot.revolute]
 
 
@@ -68,7 +68,7 @@ class RowModel:
 
     @cached_property
     def text(self) -> str:
-        """What it computes, operation by operation."""
+        """Serialised functions of the row: residual, noise, tip and pose."""
         return "\n".join(function.serialize() for function in (self.residual, self.noise, self.tip, self.pose))
 
     @property

@@ -126,7 +126,7 @@ class Problem(Value):
         return Words(unit=units, before=f"{alone} fitted alone", trusted=trusted)
 
     def measured_by(self, name: str) -> Problem:
-        """The same arm with one of its instruments; raises UnknownNameError where there is no such one."""
+        """A copy with one of its instruments; raises UnknownNameError where there is no such one."""
         return Problem(self.robot, {name: self.instruments[self.number(name)]}, terms=self.terms)
 
     def number(self, name: str) -> int:
@@ -154,7 +154,7 @@ class Problem(Value):
         terms: Sequence[Term] | None = None,
         compiled: Compiled | None = None,
     ) -> Problem:
-        """The same with another robot, other instruments of the same names, perhaps other terms; see `Problem`."""
+        """A copy with another robot, other instruments of the same names, perhaps other terms; see `Problem`."""
         together = dict(zip(self.names, instruments, strict=True))
         terms = self.terms if terms is None else terms
         return Problem(robot, together, terms=terms, shared=self.shared, compiled=compiled)

@@ -54,7 +54,7 @@ class ProblemFile(Value):
 
     @staticmethod
     def of(problem: Problem, name: str | None = None) -> ProblemFile:
-        """The same for a problem made in memory; its name is the robot's unless given."""
+        """A `ProblemFile` for a problem made in memory; its name is the robot's unless given."""
         return ProblemFile(name or problem.robot.name, "", problem.digest, problem, None, _files_of(problem, []))
 
     def __repr__(self) -> str:

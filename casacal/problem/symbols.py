@@ -142,7 +142,7 @@ class Symbols(Trace):
 
 @dataclass(frozen=True)
 class Compiled:
-    """What was compiled of one robot and its instruments, for all problems that differ in terms and priors alone."""
+    """Compiled forms of one robot and its instruments, shared by problems that differ in terms and priors alone."""
 
     _found: list[tuple[tuple[Term, ...], tuple[RowModel, ...]]] = field(default_factory=list)
 

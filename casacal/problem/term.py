@@ -32,7 +32,7 @@ class FaceFrame:
 
     @staticmethod
     def of(tips: Array) -> FaceFrame:
-        """Of the nominal tips (N, 3; mm) on a face."""
+        """Frame of the nominal tips (N, 3; mm) on a face."""
         plane = fitted_plane(tips)
         places = (tips - plane.centre) @ plane.across.T
         low, high = places.min(axis=0), places.max(axis=0)
@@ -145,7 +145,7 @@ class Term(Portable, ABC):
     @property
     @abstractmethod
     def key(self) -> str:
-        """What the names of its unknowns begin with."""
+        """Prefix of the names of its unknowns."""
 
     @property
     @abstractmethod
@@ -193,12 +193,12 @@ class Term(Portable, ABC):
         return None
 
     def reading(self, here: Here) -> Mapping[str, Expression]:
-        """What has to be added to columns that were read, by name."""
+        """Corrections of columns that were read, by name."""
         del here
         return {}
 
     def residual(self, here: Here) -> Expression | None:
-        """What has to be added to the residual, in its unit: to each component alike, or one for each of them."""
+        """Correction of the residual, in its unit: one for all components, or one for each."""
         del here
         return None
 

@@ -119,11 +119,11 @@ class Trace(Value):
 
     @cached_property
     def seen(self) -> RowExpressions:
-        """What is built of p; raises ProblemError when `pose`, `tip` or `residual` fails or has the wrong shape."""
+        """The traced graphs; raises ProblemError when `pose`, `tip` or `residual` fails or has the wrong shape."""
         return self.at(vars(self.p))
 
     def at(self, values: Mapping[str, Any]) -> RowExpressions:
-        """What the functions build of other values p."""
+        """The graphs rebuilt for other parameter values p."""
         robot, instrument, columns, q = self.robot, self.instrument, self.columns, self.q
         p, row, kind = SimpleNamespace(**values), SimpleNamespace(**columns), type(instrument).__name__
         pose = robot.flange(p, q)

@@ -1,4 +1,4 @@
-"""What carries an arm or its work: a rail, a gantry, a turntable, another arm; and the arm on it as one chain."""
+"""Carriers of an arm or its work (rail, gantry, turntable, another arm), and carrier and arm as one chain."""
 
 from __future__ import annotations
 

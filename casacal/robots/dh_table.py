@@ -219,7 +219,7 @@ def _located(where: str) -> Iterator[None]:
 
 
 def conventions_of(file: str, block: Mapping[str, Any], joints: Sequence[Joint]) -> Conventions | None:
-    """What the controller's joints mean, or None where the file says nothing of it."""
+    """The controller's joint conventions; None where the file states none."""
     count = len(joints)
     if not {"signs", *OFFSETS, "coupling"} & set(block):
         return None
@@ -303,7 +303,7 @@ COLUMNS = (
     *("joint", "alpha_deg", "a_mm", "d_mm", "theta_deg", "beta_deg", "kind"),
     *("lower_deg", "upper_deg", "lower_mm", "upper_mm"),
 )
-"""Of a CSV that is written, as far as the table has them."""
+"""Columns of a CSV that is written, as far as the table has them."""
 
 
 def read_dh_file(path: str | Path) -> DHTable:
@@ -470,7 +470,7 @@ def conventions_toml(conventions: Conventions, joints: Sequence[Joint] | None = 
 
 
 def _meant(conventions: Conventions, turns: Sequence[bool]) -> dict[str, list[str]]:
-    """What a controller's joints mean, numbers as text by key; `turns` says which joints turn."""
+    """Joint conventions from numbers as text, by key; `turns` says which joints turn."""
     pairs = list(zip(conventions.offsets, turns, strict=True))
     found = {"signs": [str(sign) for sign in conventions.signs]}
     found["offsets_deg"] = [degrees(offset if turn else 0.0) for offset, turn in pairs]

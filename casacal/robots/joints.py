@@ -101,11 +101,11 @@ class Conventions:
 
     @staticmethod
     def plain(joints: int) -> Conventions:
-        """Of a controller that means what the model means."""
+        """Conventions of a controller that counts joints as the model does."""
         return Conventions((1,) * joints, (0.0,) * joints)
 
     def flipped(self, joint: int) -> Conventions:
-        """The same where the controller counts a joint, from 1, the other way than these say."""
+        """A copy with the direction of one joint, counted from 1, reversed."""
         signs = tuple(-sign if k == joint else sign for k, sign in enumerate(self.signs, 1))
         coupling = tuple((i, j, -factor if joint in (i, j) else factor) for i, j, factor in self.coupling)
         return Conventions(signs, self.offsets, coupling)

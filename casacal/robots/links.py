@@ -35,7 +35,7 @@ class Links:
 
     @staticmethod
     def of(robot: Robot) -> Links:
-        """Of any arm whose joints carry one another in order; raises ProblemError for others.
+        """Links of an arm whose joints carry one another in order; raises ProblemError for others.
 
         A link's place is on the axis of the joint after it, where that is nearest to the place before; the last one's
         is the flange.

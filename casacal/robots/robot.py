@@ -89,7 +89,7 @@ class Robot(Value):
         return made
 
     def flange(self, p: Any, q: Expression) -> Expression:
-        """What `pose` builds (4x4, mm) of symbols; raises ProblemError when it fails or is no rigid motion."""
+        """The graph of `pose` (4x4, mm); raises ProblemError when it fails or is no rigid motion."""
         _ = self.traced
         return traced(self.pose, "pose", self.name, (4, 4), p, q)
 
@@ -121,7 +121,7 @@ class Robot(Value):
         return hash((self.name, self.axes))
 
     def __getstate__(self) -> dict[str, Any]:
-        """What is pickled: a pose function that only this process knows goes as the graph it builds."""
+        """State for pickling: a pose function that only this process knows goes as its graph."""
         state = super().__getstate__()
         return state if travels(self.pose) else state | {"pose": self.traced}
 

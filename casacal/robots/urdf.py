@@ -368,7 +368,7 @@ def _limits(joint: UrdfJoint) -> tuple[float, float]:
 
 
 def _motion(joint: UrdfJoint, q: Expression) -> Expression:
-    """What a joint does; turns about a coordinate axis keep their zeros."""
+    """Motion (4x4) of a joint; rotations about a coordinate axis keep their structural zeros."""
     axis = np.array(joint.axis) / math.hypot(*joint.axis)
     if joint.kind == "prismatic":
         return slide(axis, q)
@@ -381,7 +381,7 @@ def _motion(joint: UrdfJoint, q: Expression) -> Expression:
 def weights_of(
     path: str | Path, base: str | None, tip: str | None, payload: float
 ) -> tuple[tuple[float, ...], tuple[Triple, ...]]:
-    """What each moving joint between two links carries up to the next: mass (n,), kg, and centre (n, 3).
+    """Mass (n,), kg, and centre (n, 3) of what each moving joint between two links carries up to the next joint.
 
     Centres are in the base link's frame at joint values of zero, mm. Links that hang beside the chain count where they
     hang, other joints at zero; a payload (kg) hangs at the origin of the tip link.

@@ -45,7 +45,7 @@ def split(
 def split_each(
     measured: Measurements, holdout: float, seed: int, by: str, faces: Sequence[str | None]
 ) -> tuple[Index, Index]:
-    """The same of several instruments, each by itself; one whose samples have no such column is fitted whole."""
+    """Rows held out of several instruments, each by itself; one without the column is fitted whole."""
     parts, refused = [], list[CasacalError]()
     for some, face in zip(measured.sets, faces, strict=True):
         try:

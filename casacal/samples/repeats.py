@@ -65,7 +65,7 @@ def copies_of(samples: Samples) -> Rows:
 
 
 def without_copies(samples: Samples) -> Samples:
-    """The same rows of one instrument, each once."""
+    """The rows of one instrument without copies."""
     again = copies_of(samples)
     return samples.take(np.flatnonzero(~again)) if again.any() else samples
 
@@ -98,7 +98,7 @@ NEAR_READING = 2  # steps of the grid within which two readings are one: 0.002 m
 
 
 def listing(samples: Samples, layout: Layout) -> dict[str, Any]:
-    """What result.json keeps of fitted rows, to know them again.
+    """Fingerprint of fitted rows in result.json, by which they are recognised later.
 
     Number of rows, names of the instrument's columns, and a line of integers for each row, joints first, in steps of
     1e-6 rad and 0.001 mm.

@@ -37,7 +37,7 @@ UNITS: Mapping[Dimension, Mapping[str, float]] = {
 """Suffixes a column may carry, with their factor to rad or mm."""
 
 ALSO_CALLED = {"plane": ("face", "faces", "surface", "side", "wall", "plate", "plane_id", "plane_name", "label")}
-"""What people call a column of labels, by its name: such a column is asked about, never overlooked."""
+"""Other names that people give a column of labels: such a column is asked about, never overlooked."""
 
 LARGEST = {"angle": 20 * math.pi, "length": 1e5, "number": math.inf}
 """Beyond ten turns or a hundred metres a value is absurd whatever the robot."""
@@ -446,7 +446,7 @@ class Measurements(Value):
 
     @property
     def sha256(self) -> str:
-        """Of the only file, or of the hashes of all."""
+        """SHA-256 of the only file, or of the hashes of all."""
         if len(self.sets) == 1:
             return self.sets[0].sha256
         return hashlib.sha256(" ".join(some.sha256 for some in self.sets).encode()).hexdigest()

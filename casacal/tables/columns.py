@@ -43,7 +43,7 @@ class Labels(Sequence[str]):
 
     @staticmethod
     def alike(name: str, rows: int) -> Labels:
-        """The same label in all rows."""
+        """Labels that are the same in all rows."""
         return Labels((name,), np.zeros(rows, dtype=np.int32))
 
     @staticmethod
@@ -117,7 +117,7 @@ class Columns:
     texts: Callable[[], Mapping[str, tuple[str, ...]]] = dict
 
     def refusal(self, what: str, fix: str, column: str | None) -> SamplesError:
-        """What is wrong with the header, at its line where there is one."""
+        """An error about the header, at its line where there is one."""
         return SamplesError(self.file, what, fix, line=self.header_line or None, column=column)
 
     def cell(self, name: str, row: int) -> str:

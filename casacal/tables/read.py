@@ -176,7 +176,7 @@ CELL_TAG = re.compile(rb"</?(?:\w+:)?(?:row|c|v|f|is|si|t)[\s/>]")
 MOST_PLACES = 20_000_000
 """Of a sheet, most of them empty: one cell that was coloured far to the right makes a row of 16,384."""
 ERRORS = ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A")
-"""What a sheet shows where it could not calculate; these are no comments."""
+"""Error values of spreadsheets; these are no comments."""
 
 
 def read_workbook(path: str | Path) -> Table:

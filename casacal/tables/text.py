@@ -137,7 +137,7 @@ class Table:
 
     @property
     def columns(self) -> Columns:
-        """The same as columns."""
+        """The cells by column."""
         return Columns(
             self.file,
             self.sha256,
@@ -150,7 +150,7 @@ class Table:
         )
 
     def with_points(self) -> Table:
-        """The same with decimal points where there were decimal commas."""
+        """A copy with decimal points in place of decimal commas."""
         if not self.decimal_comma:
             return self
         rows = tuple(tuple(cell.replace(",", ".") if is_number(cell) else cell for cell in row) for row in self.rows)
@@ -164,7 +164,7 @@ class Table:
 def finite_numbers(
     file: str, name: str, cells: Sequence[str], lines: Sequence[int], *, decimal_comma: bool = False
 ) -> list[float]:
-    """The same of cells on some lines of a file."""
+    """Cells of a column as finite numbers; raises SamplesError that names line and column of another."""
     result = []
     for cell, line in zip(cells, lines, strict=True):
         text = cell.replace(",", ".") if decimal_comma else cell

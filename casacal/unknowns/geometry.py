@@ -24,7 +24,7 @@ class Whole(Unknown):
     prior_std: float | tuple[float, float]
     start_std: float | tuple[float, float] | None
     parts: ClassVar[tuple[tuple[str, str], ...]]
-    """What the name of each local coordinate ends in, and its unit."""
+    """Suffix of the name of each local coordinate, and its unit."""
     unit_length: ClassVar[int] = 3
     """How many raw coordinates, the first ones, are a vector or quaternion of length one."""
     held_as_proposed: bool

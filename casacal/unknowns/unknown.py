@@ -1,4 +1,4 @@
-"""What every kind of unknown provides, and numbers: link lengths, twists, offsets, a tool point."""
+"""Base of all unknowns, and scalar parameters: link lengths, twists, offsets, a tool point."""
 
 from __future__ import annotations
 
