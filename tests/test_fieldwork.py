@@ -134,8 +134,8 @@ def test_determinants_are_made_small():
     best = min(volume(chosen) for chosen in itertools.combinations(range(11), 4))
     starts = (rng.choice(11, 4, replace=False) for _ in range(6))
     found = [exchange(rows, known, np.eye(6), start, criterion=Criterion.PARAMETERS) for start in starts]
-    assert min(each.loss for each in found) == pytest.approx(best, abs=1e-9)
-    assert all(each.loss == pytest.approx(volume(each.rows), abs=1e-9) for each in found)
+    assert min(loss for _, loss in found) == pytest.approx(best, abs=1e-9)
+    assert all(loss == pytest.approx(volume(chosen), abs=1e-9) for chosen, loss in found)
 
 
 def test_what_is_chosen_for_the_tip_is_better_there_and_worse_for_the_parameters(hsr):

@@ -128,19 +128,14 @@ def further_pose(
     if len(meanings) == 1:
         rivals = np.concatenate([best.reading[None], one_change_away(best.reading, axes.turns)])
         turn, place = poses_of(axes, rivals, shown * scale)
+        one, other = np.zeros(len(turn) - 1, dtype=np.intp), np.arange(1, len(turn))
     else:
         told = [poses_of(axes, m.reading[None], shown * _scale(axes, m)) for m in meanings]
-        turn = np.concatenate([each[0] for each in told])
+        turn = np.concatenate([turned for turned, _ in told])
         # as the controller shows it: a metre and a millimetre that read alike cannot be told apart
-        place = np.concatenate(
-            [
-                each[1] * LENGTHS[best.length_unit] / LENGTHS[m.length_unit]
-                for each, m in zip(told, meanings, strict=True)
-            ]
-        )
-    one, other = np.triu_indices(len(turn), k=1)
-    if len(meanings) == 1:
-        one, other = one[one == 0], other[one == 0]
+        units = [LENGTHS[best.length_unit] / LENGTHS[m.length_unit] for m in meanings]
+        place = np.concatenate([moved * unit for (_, moved), unit in zip(told, units, strict=True)])
+        one, other = np.triu_indices(len(turn), k=1)
     apart = np.linalg.norm(place[one] - place[other], axis=-1), angle_between(turn[one], turn[other])
     size = np.maximum(apart[0] / tolerance, apart[1] / (tolerance * 1e-3))
     twins = size.max(axis=1) < 1e-3

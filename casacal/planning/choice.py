@@ -37,15 +37,6 @@ class Criterion(Enum):
     """Determinant of C: D-optimal."""
 
 
-@dataclass(frozen=True)
-class Exchanged:
-    """Rows of a plan (k,), the error that they leave (root of trace C M), and what was made small."""
-
-    rows: Index
-    error: float
-    loss: float
-
-
 def exchange(
     rows: Array,
     known: Array,
@@ -54,8 +45,8 @@ def exchange(
     *,
     criterion: Criterion = Criterion.TIP,
     barred: Rows | None = None,
-) -> Exchanged:
-    """Improve a plan until no single exchange does.
+) -> tuple[Index, float]:
+    """Improve a plan until no single exchange does: its rows (k,), and the tip error or ln det C that they leave.
 
     rows: whitened slopes of every measurement that could be made (N, m, n). known: information (n, n) that there is
     without them, positive definite. weight: M (n, n). start: the plan to begin with (k,), no row twice. barred: which
@@ -80,9 +71,9 @@ def exchange(
                 plan[place], changed = best, True
         if not changed:
             break
-    error = error_of(rows[plan], known, weight)
-    loss = error if criterion is Criterion.TIP else -float(np.linalg.slogdet(_information(rows[plan], known))[1])
-    return Exchanged(plan, error, loss)
+    if criterion is Criterion.TIP:
+        return plan, error_of(rows[plan], known, weight)
+    return plan, -float(np.linalg.slogdet(_information(rows[plan], known))[1])
 
 
 def error_of(rows: Array, known: Array, weight: Array) -> float:
@@ -187,7 +178,7 @@ class Choice:
         there = np.arange(len(self.rows)) if barred is None else np.flatnonzero(~barred)
         begins = [rng.choice(there, count, replace=False) for _ in range(starts)]
         found = (exchange(self.rows, self.known, self.weight, k, criterion=criterion, barred=barred) for k in begins)
-        return min(found, key=lambda each: each.loss).rows
+        return min(found, key=lambda each: each[1])[0]
 
     def curve(self, best: Index, rng: np.random.Generator, criterion: Criterion = Criterion.TIP) -> dict[int, float]:
         """Error by number of measurements: half and a quarter as many, these, and half as many again."""
@@ -212,7 +203,8 @@ def seldom(problem: Problem, pool: Samples, chosen: Index) -> tuple[Rows, Rows]:
     """
     taken = np.zeros(len(pool), dtype=bool)
     taken[chosen] = True
-    all_of_them, least, fewest = np.zeros(len(pool), dtype=bool), np.zeros(len(pool), dtype=bool), len(pool)
+    few, least = np.zeros(len(pool), dtype=bool), np.zeros(len(pool), dtype=bool)
+    fewest = len(pool)
     for key in problem.instrument.datum:
         unknown = problem.instrument.unknowns[key]
         flat = int((~np.isfinite(unknown.prior_stds)).sum())
@@ -220,11 +212,11 @@ def seldom(problem: Problem, pool: Samples, chosen: Index) -> tuple[Rows, Rows]:
             count = int(taken[rows].sum())
             if count * problem.models[0].components > flat:
                 continue
-            all_of_them[rows] = True
+            few[rows] = True
             if 0 < count < fewest:
-                fewest, least = count, np.zeros(len(pool), dtype=bool)
+                fewest, least[:] = count, False
                 least[rows] = True
-    return all_of_them, least
+    return few, least
 
 
 def row_slopes(bound: BoundProblem, x: Array) -> Array:

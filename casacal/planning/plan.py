@@ -174,19 +174,17 @@ def _enough_of_each(
     count: int,
     starts: int,
     rng: np.random.Generator,
-    criterion: Criterion,
+    wanted: Criterion,
 ) -> tuple[Index, Rows]:
-    """The best plan that touches each of its faces often enough to say where it is, and what it leaves out (N,).
-
-    Fewer touches of a face tell nothing of the arm, so that an exchange leaves them where they were at random.
-    """
-    best, barred = choice.best_of(count, starts, rng, criterion), np.zeros(len(pool), dtype=bool)
+    """The best plan that touches each of its faces often enough to say where it is, and what it leaves out (N,)."""
+    best, barred = choice.best_of(count, starts, rng, wanted), np.zeros(len(pool), dtype=bool)
     while True:
         few, least = seldom(problem, pool, best)
-        barred = barred | least
+        barred |= least
         if not least.any() or (~barred).sum() < 2 * count:
             return best, few if (~few).sum() >= 2 * count else np.zeros(len(pool), dtype=bool)
-        best = choice.best_of(count, starts, rng, criterion, barred)
+        # too few touches of a face tell nothing of the arm, so that an exchange leaves them where they were at random
+        best = choice.best_of(count, starts, rng, wanted, barred)
 
 
 TRIES = 20  # draws of what is kept to verify, until one places all that it touches
@@ -328,8 +326,15 @@ def told(
     flat = [few for few, many in pairwise(sorted(plan.curve)) if plan.curve[many] > FLAT * plan.curve[few]]
     flat = [few for few in flat if plan.best > ENDS * plan.curve[few]]  # or it only seems so, and many more gain much
     left += f"; more than {flat[0]} gain little" if flat else ""
-    better = worth_most(compared) if compared else None
-    said = [] if better is None else [_advice(*better, fitted, kept_clear)]
+    said = []
+    if better := worth_most(compared) if compared else None:
+        best, now = better
+        without_clear = "; both ignore what must be kept clear of" if kept_clear else ""
+        now_is = f"{now.error:.3g} mm as it is" if math.isfinite(now.error) else "this one is out of reach"
+        said.append(
+            f"Consider another set-up first ({best.words}): with {fitted} fitted touches of {POOL} candidates it "
+            f"leaves {best.error:.3g} mm, {now_is}{without_clear}"
+        )
     said += [
         f"{len(plan)} touches: {fitted} to fit, {again} of them once more, {check} kept to verify",
         f"Expect a tip error of {plan.error:.3g} mm RMS {where}, apart from the position of the base, if the stated "
@@ -349,16 +354,6 @@ def told(
         reach = "this arm cannot touch it" if math.isinf(each.error) else f"{each.error:.3g} mm"
         said.append(f"  {reach}: {each.words}")
     return said
-
-
-def _advice(best: SetUp, now: SetUp, fitted: int, kept_clear: bool) -> str:
-    """What another set-up would be worth."""
-    without = "; both ignore what must be kept clear of" if kept_clear else ""
-    now_is = f"{now.error:.3g} mm as it is" if math.isfinite(now.error) else "this one is out of reach"
-    return (
-        f"Consider another set-up first ({best.words}): with {fitted} fitted touches of {POOL} candidates it leaves "
-        f"{best.error:.3g} mm, {now_is}{without}"
-    )
 
 
 def where_faces_stand(plan: Plan, problem: Problem) -> list[dict[str, Any]]:
