@@ -136,18 +136,13 @@ def further_pose(
         units = [LENGTHS[best.length_unit] / LENGTHS[m.length_unit] for m in meanings]
         place = np.concatenate([moved * unit for (_, moved), unit in zip(told, units, strict=True)])
         one, other = np.triu_indices(len(turn), k=1)
-    apart = np.linalg.norm(place[one] - place[other], axis=-1), angle_between(turn[one], turn[other])
-    size = np.maximum(apart[0] / tolerance, apart[1] / (tolerance * 1e-3))
-    twins = size.max(axis=1) < 1e-3
-    size, apart = size[~twins], (apart[0][~twins], apart[1][~twins])
-    chosen = int(np.lexsort((size.min(axis=0), (size > TOLD).sum(axis=0)))[-1])
-    least = int(np.argmin(size[:, chosen]))
-    return FurtherPose(
-        shown[chosen],
-        float((size[:, chosen] > TOLD).mean()),
-        float(apart[0][least, chosen]),
-        float(apart[1][least, chosen]),
-    )
+    mm, rad = np.linalg.norm(place[one] - place[other], axis=-1), angle_between(turn[one], turn[other])
+    size = np.maximum(mm / tolerance, rad / (tolerance * 1e-3))
+    differ = size.max(axis=1) >= 1e-3  # the others are twins in any posture
+    size, mm, rad = size[differ], mm[differ], rad[differ]
+    at = int(np.lexsort((size.min(axis=0), (size > TOLD).sum(axis=0)))[-1])
+    least = int(np.argmin(size[:, at]))
+    return FurtherPose(shown[at], float((size[:, at] > TOLD).mean()), float(mm[least, at]), float(rad[least, at]))
 
 
 def _scale(axes: Axes, meaning: Meaning) -> Array:

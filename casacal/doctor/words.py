@@ -86,14 +86,11 @@ def _settings(found: Diagnosis) -> Iterable[str]:
 def _stated(found: Diagnosis) -> str:
     """A remark where the column names state units that do not fit."""
     best, rows = found.meanings[0], found.rows
-    wrong = [
-        f"{stated} for {what}"
-        for what, stated, fits in (
-            ("joints", rows.joint_unit, best.joint_unit),
-            ("lengths", rows.length_unit, best.length_unit),
-        )
-        if stated not in ("", fits)
-    ]
+    wrong = []
+    if rows.joint_unit not in ("", best.joint_unit):
+        wrong.append(f"{rows.joint_unit} for joints")
+    if rows.length_unit not in ("", best.length_unit):
+        wrong.append(f"{rows.length_unit} for lengths")
     angle = {unit for _, unit in best.rotations} - {""}
     if rows.angle_unit and angle and rows.angle_unit not in angle:
         wrong.append(f"{rows.angle_unit} for orientations")

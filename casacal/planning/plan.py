@@ -286,16 +286,14 @@ def touches_for(
                 break
             count, left = more, then
         return count
-    count = 3 if after is not None else 12
-    while count < most:
-        if choice.error(choice.best_of(count, 1, rng)) <= tolerance:
-            return count
-        count = min(max(math.ceil(count * 1.25), count + 1), most)
-    left = choice.error(choice.best_of(most, 1, rng))
-    if left > tolerance:
-        what = f"{most} best touches leave {left:.3g} mm, more than {tolerance:g} mm"
-        raise CasacalError(what, "Ask for less, measure with less noise, or add a face, a step or another instrument")
-    return most
+    count = min(3 if after is not None else 12, most)
+    while (left := choice.error(choice.best_of(count, 1, rng))) > tolerance:
+        if count == most:
+            what = f"{most} best touches leave {left:.3g} mm, more than {tolerance:g} mm"
+            fix = "Ask for less, measure with less noise, or add a face, a step or another instrument"
+            raise CasacalError(what, fix)
+        count = min(math.ceil(count * 1.25), most)
+    return count
 
 
 FLAT = 0.93  # error over that of fewer touches above which more bring little

@@ -14,7 +14,7 @@ from casacal.kernels.block_rows import Batch
 from casacal.problem.problem import Problem
 from casacal.robots.robot import inside_limits, random_joints
 from casacal.samples.samples import Samples
-from casacal.simulation.cell import Cell, Disturbances, Face
+from casacal.simulation.cell import Cell, Disturbances, Face, rectangles
 from casacal.simulation.touches import Draw, label_names, plane_coordinates, random_tips, spot, stands
 from casacal.tables.columns import Labels
 from casacal.unknowns import Frame, Unknown
@@ -61,11 +61,9 @@ class Bench:
         if not self.faces:
             return np.zeros(len(rows))
         (tips,) = self.problem.model.batch.tip(self.z[rows], self.c[rows], np.hstack([free, self.known[rows]]))
-        axes, centres, sizes = (
-            np.array([getattr(self.faces[k], name) for k in rows]) for name in ("axes", "centre", "size")
-        )
+        axes, centres, half = rectangles([self.faces[k] for k in rows])
         along = np.abs(np.einsum("kx,kax->ka", tips - centres, axes[:, 1:]))
-        return np.asarray(np.linalg.norm(np.maximum(along - sizes / 2, 0.0), axis=1))
+        return np.asarray(np.linalg.norm(np.maximum(along - half, 0.0), axis=1))
 
 
 def _named(instrument: Instrument, key: str, label: str | None) -> str:
@@ -113,28 +111,17 @@ def bench_of(
     evaluate = Batch(ca.Function("bench", symbols, [e, ca.densify(ca.jacobian(e, symbols[2]))]))
     free = len(robot.axes) + len(instrument.columns)
     assert model.residual.numel_in(2) == free + len(known)
-    return Bench(
-        problem,
-        evaluate,
-        np.hstack(z),
-        np.hstack(c),
-        np.array(known, dtype=np.float64).T.reshape(samples, -1),
-        _faces(problem, cell, labels, samples),
-        local,
-        frames,
-    )
+    read = np.array(known, dtype=np.float64).T.reshape(samples, -1)
+    faces = _faces(problem, cell, labels, samples)
+    return Bench(problem, evaluate, np.hstack(z), np.hstack(c), read, faces, local, frames)
 
 
 def _faces(problem: Problem, cell: Disturbances, labels: Mapping[str, Labels], samples: int) -> tuple[Face, ...]:
     """The face of each row, where an unknown of the instrument is a plane and a cell says how large faces are."""
-    planes = [unknown for unknown in problem.instrument.unknowns.values() if _is_flat(unknown)]
-    if not isinstance(cell, Cell) or not planes:
+    plane = next((unknown for unknown in problem.instrument.unknowns.values() if _is_flat(unknown)), None)
+    if not isinstance(cell, Cell) or plane is None:
         return ()
-    column = planes[0].per
-    return tuple(
-        next((face for face in cell.faces if face.label == label), cell.faces[0])
-        for label in (labels[column] if column is not None else ("",) * samples)
-    )
+    return tuple(map(cell.face, ("",) * samples if plane.per is None else labels[plane.per]))
 
 
 def _is_flat(unknown: Unknown) -> bool:

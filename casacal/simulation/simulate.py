@@ -18,7 +18,7 @@ from casacal.least_squares.conditioned import Conditioned
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Layout, Measurements, Samples
 from casacal.simulation.bench import Bench, bench_of, found_rows, read_there
-from casacal.simulation.cell import Cell, Disturbances, Face, levels
+from casacal.simulation.cell import Cell, Disturbances, Face, levels, rectangles
 from casacal.simulation.faults import (
     ArmErrors,
     DialErrors,
@@ -143,12 +143,9 @@ class _Contact:
         standing: joints (N, n) as they truly stand. readings: expected ones (N,); where the dial would be near an end
         of its travel, the arm is moved until it reads about that, as operators do. Faces reach as far as anybody asks.
         """
-        axes, centres, half = (
-            np.array([getattr(face, name) for face in self.cell.faces])[self.plan.which]
-            for name in ("axes", "centre", "size")
-        )
+        axes, centres, half = (each[self.plan.which] for each in rectangles(self.cell.faces))
         tips, _ = self.touch.place(self.touch.local, standing, readings[:, None])
-        uv = np.clip(2 * np.einsum("kx,kax->ka", tips - centres, axes[:, 1:]) / half, -1, 1)
+        uv = np.clip(np.einsum("kx,kax->ka", tips - centres, axes[:, 1:]) / half, -1, 1)
         normals, heights = axes[:, 0], levels(self.cell, self.plan.which, uv, self.forms, self.lift) / self.growth
         moved, ways_in = self._met(standing, readings, normals, heights)
         low, high = readings_within(self.probe.travel if self.cell.travel is None else self.cell.travel)
@@ -297,22 +294,23 @@ MOST_SAMPLES = 1_000_000  # rows beyond which drawing postures takes hours
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Simulation(Value):
-    """Samples, and the truth they came from: local coordinates of the unknowns by name, and what disturbed them."""
+    """Samples, and the truth that they came from.
+
+    measured: samples of every instrument. local: local coordinates of the unknowns, by name. cell: what disturbed them.
+    arm_errors, dial_errors: what moves the tip beside the geometry, and what the dial gets wrong beside what the
+    problem declares, as they were drawn. frames: true transforms (4, 4; mm) by name of the frames that rows propose.
+    parts: the same arm with each of several instruments.
+    """
 
     problem: Problem
     measured: Measurements
-    """Samples of every instrument."""
     local: Mapping[str, Array]
     cell: Disturbances
     seed: int
     arm_errors: ArmErrors = ArmErrors()
-    """What moves the tip beside the geometry, as it was drawn."""
     dial_errors: DialErrors = DialErrors()
-    """What the dial gets wrong beside what the problem declares, as it was drawn."""
     frames: Mapping[str, Array] = field(default_factory=dict)
-    """True transforms (4, 4; mm) by name of the frames that rows propose."""
     parts: tuple[Simulation, ...] = ()
-    """The same arm with each of several instruments."""
 
     def __repr__(self) -> str:
         return f"<Simulation of {self.problem.robot.name}, seed {self.seed}: {self.measured.plain!r}>"

@@ -16,7 +16,7 @@ from casacal.kinematics import stacked_poses
 from casacal.problem.problem import Problem
 from casacal.robots.links import above_table
 from casacal.robots.robot import random_joints
-from casacal.simulation.cell import OF_DIALS, OF_TOUCHES, Cell, Disturbances, Face, corner, levels, triple
+from casacal.simulation.cell import OF_DIALS, OF_TOUCHES, Cell, Disturbances, Face, corner, levels, rectangles, triple
 from casacal.simulation.reach import TouchingArm
 from casacal.tables.columns import Labels
 from casacal.unknowns import Unknown
@@ -158,9 +158,7 @@ def try_touches(
     """
     count = len(which)
     waiting = np.arange(count) if waiting is None else waiting
-    axes = np.array([face.axes for face in cell.faces])[which]
-    centres = np.array([face.centre for face in cell.faces])[which]
-    half = np.array([face.size for face in cell.faces])[which] / 2
+    axes, centres, half = (each[which] for each in rectangles(cell.faces))
     low, high = readings_within(probe.travel if cell.travel is None else cell.travel)
     readings = low + rng.uniform(EDGE, 1 - EDGE, count) * (high - low) if probe.column is not None else np.zeros(count)
     uv = rng.uniform(-1, 1, size=(count, 2))
@@ -326,7 +324,7 @@ def spot(reached: Array, k: int | None) -> Array:
 def stands(cell: Disturbances, label: str, place: Array) -> tuple[Array, Array]:
     """Where a thing stands of which nobody says where: on the face of that name, or at some place in the workspace."""
     if isinstance(cell, Cell):
-        face = next((face for face in cell.faces if face.label == label), cell.faces[0])
+        face = cell.face(label)
         return np.asarray(face.centre), face.axes[0]
     return place, np.array([0.0, 0.0, 1.0])
 
