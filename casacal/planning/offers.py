@@ -125,21 +125,18 @@ def _faces(bound: BoundProblem, x: Array, touch: TouchingArm, probe: Probe) -> l
         planes = ((label, fitted_plane(tips[own]), own) for label, own in some.faces(probe.label).rows().items())
         found = [(label, plane.normal, plane.centre, own) for label, plane, own in planes if plane.flat]
     found.sort(key=lambda entry: -entry[3].size)
-    most = found[:MOST_FACES]
-    return [_face(label or "plane", normal, point, tips[own], plungers[own]) for label, normal, point, own in most]
-
-
-def _face(label: str, normal: Array, point: Array, tips: Array, plungers: Array) -> tuple[Face, int, float]:
-    """A rectangle around tips (N, 3), its plane's sense, and the largest tilt of plungers (N, 3) against it."""
-    against = -(plungers @ normal)
-    sense = 1 if against.mean() > 0 else -1
-    face = Face(label, triple(point), triple(sense * normal))
-    along = (tips - point) @ face.axes[1:].T
-    low, high = along.min(axis=0), along.max(axis=0)
-    width, depth = (max(float(side), SMALLEST) for side in high - low)
-    centre = triple(point + (low + high) / 2 @ face.axes[1:])
-    tilt = math.acos(min(float((sense * against).min()), 1.0))
-    return replace(face, centre=centre, size=(width, depth)), sense, tilt
+    made = []
+    for label, normal, point, own in found[:MOST_FACES]:
+        against = -(plungers[own] @ normal)
+        sense = 1 if against.mean() > 0 else -1
+        face = Face(label or "plane", triple(point), triple(sense * normal))
+        along = (tips[own] - point) @ face.axes[1:].T
+        low, high = along.min(axis=0), along.max(axis=0)
+        width, depth = (max(float(side), SMALLEST) for side in high - low)
+        centre = triple(point + (low + high) / 2 @ face.axes[1:])
+        tilt = math.acos(min(float((sense * against).min()), 1.0))
+        made.append((replace(face, centre=centre, size=(width, depth)), sense, tilt))
+    return made
 
 
 STEP = 100.0  # height of a gauge block, mm

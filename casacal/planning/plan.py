@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, get_args
 
 import numpy as np
 
@@ -79,7 +79,7 @@ def plan(
     check: float = 0.15,
     box: Box | None = None,
     targets: Array | None = None,
-    criterion: Literal["tip", "parameters"] = "tip",
+    criterion: Criterion = "tip",
     clearance: Clearance | None = None,
     after: Samples | None = None,
     loose: Mapping[str, float] | None = None,
@@ -112,8 +112,7 @@ def plan(
     """
     refuse_several(problem, "A plan is for one instrument", "Plan for", box, targets)
     _refuse(touches, pool, starts, again, check)
-    refuse_unknown("criterion", [criterion], (each.value for each in Criterion))
-    wanted = Criterion(criterion)
+    refuse_unknown("criterion", [criterion], get_args(Criterion))
     still = _placed(problem, cell_of(problem, cell), after)
     reachable = pool_of(problem, still, pool, seed, clearance)
     bound = bound_pool(problem, reachable, after, loose)
@@ -121,7 +120,7 @@ def plan(
     choice = choice_at()
     checks, repeats = round(check * touches), round(again * touches)
     rng = np.random.default_rng([seed, 1])
-    best, few = _enough_of_each(problem, reachable, choice, touches - checks - repeats, starts, rng, wanted)
+    best, few = _enough_of_each(problem, reachable, choice, touches - checks - repeats, starts, rng, criterion)
     twice = best[np.linspace(0, len(best) - 1, repeats).astype(int)] if repeats else best[:0]
     left = np.setdiff1d(np.flatnonzero(~few) if after is None else np.arange(pool), best)
     fresh = kept_to_verify(problem.without_terms, reachable, left, checks, rng)
@@ -140,7 +139,7 @@ def plan(
         choice.error(best[:0]),
         float(np.median(draws)),
         choice.error(np.arange(pool)),
-        choice.curve(best, rng, wanted),
+        choice.curve(best, rng, criterion),
         choice.lost(best, LOST, DRAWS, rng),
         float(np.sqrt(np.mean(np.square(over_arms)))),
         still,
@@ -161,9 +160,8 @@ def _placed(problem: Problem, cell: Disturbances, after: Samples | None) -> Dist
         off = float(np.median((tips[touched] - face.centre) @ face.axes[0])) if len(touched) else 0.0
         if abs(off) > ASTRAY:
             what = f"Touches of '{face.label}' in {after.file} lie {abs(off):.0f} mm from where the cell has that face"
-            raise CasacalError(
-                what, "Say where the faces are (cell in the problem file), or on which table (--table Z)"
-            )
+            fix = "Say where the faces are (cell in the problem file), or on which table (--table Z)"
+            raise CasacalError(what, fix)
     return cell
 
 
@@ -174,17 +172,17 @@ def _enough_of_each(
     count: int,
     starts: int,
     rng: np.random.Generator,
-    wanted: Criterion,
+    criterion: Criterion,
 ) -> tuple[Index, Rows]:
     """The best plan that touches each of its faces often enough to say where it is, and what it leaves out (N,)."""
-    best, barred = choice.best_of(count, starts, rng, wanted), np.zeros(len(pool), dtype=bool)
+    best, barred = choice.best_of(count, starts, rng, criterion), np.zeros(len(pool), dtype=bool)
     while True:
         few, least = seldom(problem, pool, best)
         barred |= least
         if not least.any() or (~barred).sum() < 2 * count:
             return best, few if (~few).sum() >= 2 * count else np.zeros(len(pool), dtype=bool)
         # too few touches of a face tell nothing of the arm, so that an exchange leaves them where they were at random
-        best = choice.best_of(count, starts, rng, wanted, barred)
+        best = choice.best_of(count, starts, rng, criterion, barred)
 
 
 TRIES = 20  # draws of what is kept to verify, until one places all that it touches

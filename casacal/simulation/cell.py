@@ -89,10 +89,8 @@ def _waves(given: Mapping[int, float] | Sequence[tuple[int, float]]) -> tuple[tu
         if isinstance(order, bool) or not isinstance(order, (int, np.integer)) or order < 1:
             raise SimulationError(f"A gear wave has the order {order!r}", "Give a whole number from one on")
         if not 0 <= amplitude * order < STEEPEST:
-            raise SimulationError(
-                f"The gear wave of order {order} has the amplitude {amplitude:g}",
-                f"Give zero or a positive number of rad below {STEEPEST / order:g}",
-            )
+            fix = f"Give zero or a positive number of rad below {STEEPEST / order:g}"
+            raise SimulationError(f"The gear wave of order {order} has the amplitude {amplitude:g}", fix)
     return tuple((int(order), amplitude) for order, amplitude in waves)
 
 

@@ -370,9 +370,8 @@ class Simulation(Value):
         problem, probe = self.problem, self.problem.instrument.probe
         q = np.asarray(joints, dtype=np.float64)
         if q.ndim != 2 or q.shape[1] != len(problem.robot.axes):
-            raise SimulationError(
-                f"Joint values came in the shape {q.shape}", f"Give (N, {len(problem.robot.axes)}) of them"
-            )
+            fix = f"Give (N, {len(problem.robot.axes)}) of them"
+            raise SimulationError(f"Joint values came in the shape {q.shape}", fix)
         if probe is None:
             if readings is not None:
                 raise SimulationError(f"{type(problem.instrument).__name__} has no plunger", "Leave the readings out")
@@ -466,18 +465,15 @@ def simulate(
         if not isinstance(number, (int, np.integer)) or number < 0:
             raise SimulationError(f"The {name} is {number!r}", "Give a whole number from zero on")
     if not isinstance(problem, Problem):
-        raise SimulationError(
-            f"Got {came(problem)} as the problem", "Give a Problem; load_problem(path).problem is one"
-        )
+        fix = "Give a Problem; load_problem(path).problem is one"
+        raise SimulationError(f"Got {came(problem)} as the problem", fix)
     if cell is not None and not isinstance(cell, Disturbances):
         raise SimulationError(f"Got {came(cell)} as the cell", "Give a Cell(faces=...), or Disturbances(...)")
     if isinstance(samples, Samples):
         found = simulate_one(problem, cell, _postures_of(problem, samples), Draw(int(seed), int(session)))
         if not len(found.samples):
-            raise SimulationError(
-                f"In none of the {len(samples)} postures can the true arm measure",
-                "Plan them for this problem and cell",
-            )
+            fix = "Plan them for this problem and cell"
+            raise SimulationError(f"In none of the {len(samples)} postures can the true arm measure", fix)
         return found
     if isinstance(samples, Mapping):
         for name in samples:

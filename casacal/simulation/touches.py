@@ -30,9 +30,8 @@ def own_noise(problem: Problem) -> Array | float:
     """Standard deviation of each component of the residual by itself."""
     instrument = problem.instrument
     if said := next((block.name for block in instrument.blocks if isinstance(block.std, str)), ""):
-        raise SimulationError(
-            f"The noise of '{said}' comes from a column, which simulated rows do not have", "Declare it as a number"
-        )
+        fix = "Declare it as a number"
+        raise SimulationError(f"The noise of '{said}' comes from a column, which simulated rows do not have", fix)
     stds = [float(block.std) for block in instrument.blocks for _ in range(block.size)]
     return np.array(stds) if stds else instrument.residual_std
 
