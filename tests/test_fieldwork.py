@@ -15,7 +15,7 @@ from casacal.cli.main import main
 from casacal.errors import CasacalError
 from casacal.fieldwork.handouts import approaches, program_text, sheet_page
 from casacal.planning.candidates import Clearance, near_face
-from casacal.planning.choice import Criterion, exchange
+from casacal.planning.choice import Choice
 from casacal.planning.plan import touches_for
 from casacal.planning.set_ups import set_ups
 from casacal.robots.links import nodes_of
@@ -133,9 +133,9 @@ def test_determinants_are_made_small():
 
     best = min(volume(chosen) for chosen in itertools.combinations(range(11), 4))
     starts = (rng.choice(11, 4, replace=False) for _ in range(6))
-    found = [exchange(rows, known, np.eye(6), start, criterion=Criterion.PARAMETERS) for start in starts]
-    assert min(each.loss for each in found) == pytest.approx(best, abs=1e-9)
-    assert all(each.loss == pytest.approx(volume(each.rows), abs=1e-9) for each in found)
+    found = [Choice(rows, known, np.eye(6)).exchange(start, criterion="parameters") for start in starts]
+    assert min(loss for _, loss in found) == pytest.approx(best, abs=1e-9)
+    assert all(loss == pytest.approx(volume(chosen), abs=1e-9) for chosen, loss in found)
 
 
 def test_what_is_chosen_for_the_tip_is_better_there_and_worse_for_the_parameters(hsr):

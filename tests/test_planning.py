@@ -15,7 +15,7 @@ from casacal import CasacalError, bind, calibrate, load_problem, simulate
 from casacal.cli.main import main
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.planning.candidates import pool_of
-from casacal.planning.choice import error_of, exchange
+from casacal.planning.choice import Choice
 from casacal.planning.plan import kept_to_verify, plan, plan_text, touches_for
 from casacal.planning.route import AGAIN, CHECK, FIT, read_route, shortest_way
 from casacal.planning.set_ups import SetUp, worth_most
@@ -44,16 +44,16 @@ def test_exchange_finds_the_best_of_all_choices(size):
         return np.sqrt(np.trace(np.linalg.inv(told) @ weight))
 
     best = min(error(chosen) for chosen in itertools.combinations(range(12), 4))
-    found = [exchange(rows, known, weight, rng.choice(12, 4, replace=False)) for _ in range(6)]
-    assert min(each.error for each in found) == pytest.approx(best, rel=1e-9)
-    for each in found:
-        assert len(set(each.rows.tolist())) == 4
-        assert each.error == pytest.approx(error(each.rows), rel=1e-9)
-        assert each.error < 1.25 * best
-        for place, other in itertools.product(range(4), set(range(12)) - set(each.rows.tolist())):
-            swapped = each.rows.copy()
+    found = [Choice(rows, known, weight).exchange(rng.choice(12, 4, replace=False)) for _ in range(6)]
+    assert min(left for _, left in found) == pytest.approx(best, rel=1e-9)
+    for chosen, left in found:
+        assert len(set(chosen.tolist())) == 4
+        assert left == pytest.approx(error(chosen), rel=1e-9)
+        assert left < 1.25 * best
+        for place, other in itertools.product(range(4), set(range(12)) - set(chosen.tolist())):
+            swapped = chosen.copy()
             swapped[place] = other
-            assert error(swapped) > each.error * (1 - 1e-6), "no single exchange is better"
+            assert error(swapped) > left * (1 - 1e-6), "no single exchange is better"
 
 
 def test_no_measurement_is_planned_twice():
@@ -61,9 +61,9 @@ def test_no_measurement_is_planned_twice():
     rng = np.random.default_rng(3)
     rows = rng.normal(size=(9, 1, 3))
     rows[4] *= 10
-    found = exchange(rows, np.eye(3), np.eye(3), np.array([0, 1, 2, 3]))
-    assert sorted(set(found.rows.tolist())) == sorted(found.rows.tolist())
-    assert 4 in found.rows
+    chosen, _ = Choice(rows, np.eye(3), np.eye(3)).exchange(np.array([0, 1, 2, 3]))
+    assert sorted(set(chosen.tolist())) == sorted(chosen.tolist())
+    assert 4 in chosen
 
 
 @pytest.mark.long
@@ -366,7 +366,9 @@ def test_the_command_line_refuses(tmp_path, capsys):
 
 def test_errors_of_no_rows_are_those_of_the_prior():
     known, weight = np.diag([4.0, 1.0]), np.diag([1.0, 9.0])
-    assert error_of(np.zeros((0, 1, 2)), known, weight) == pytest.approx(np.sqrt(0.25 + 9.0))
+    assert Choice(np.zeros((0, 1, 2)), known, weight).error(np.zeros(0, dtype=int)) == pytest.approx(
+        np.sqrt(0.25 + 9.0)
+    )
 
 
 @pytest.mark.long

@@ -114,6 +114,17 @@ class Change(Value):
 
     def summary(self) -> str:
         """What `casacal changed` prints: a paragraph each line."""
+        causes = [
+            f"  {capital(cause.called)}: {100 * cause.share:.0f} % of the evidence"
+            + (f"; size {cause.amount}" if cause.kind != "row" else "")
+            + f"; rest {chance(cause.left)}"
+            for cause in (() if self.ended == CHANGED else self.causes)
+        ]
+        bad = []
+        if self.bad_lines:
+            fit = "fits" if len(self.bad_lines) == 1 else "fit"
+            lines = capital(numbered_lines(self.bad_lines))
+            bad = [f"{lines} {fit} neither the other rows nor any change of the arm. Measure {_it(self)} again."]
         unseen = [f"These rows do not show a shift of {listed(self.unseen, 'or')}."] if self.unseen else []
         said = [
             _answer(self),
@@ -124,8 +135,8 @@ class Change(Value):
                 "of {} repeat other rows to the last digit and are counted once",
                 "of {} were used for the calibration and are not counted",
             ),
-            *_causes(self),
-            *_bad(self),
+            *causes,
+            *bad,
             _rests_on(self),
             _shown(self),
             *(unseen if self.ended != NOTHING else []),
@@ -167,27 +178,6 @@ def _answer(found: Change) -> str:
             f"rest): more than one thing changed, or something else did. {rate}"
         )
     return f"{start}. They cannot distinguish between {listed([cause.called for cause in found.causes])}. {rate}"
-
-
-def _causes(found: Change) -> list[str]:
-    if found.ended == CHANGED:
-        return []
-    return [
-        f"  {capital(cause.called)}: {100 * cause.share:.0f} % of the evidence"
-        + (f"; size {cause.amount}" if cause.kind != "row" else "")
-        + f"; rest {chance(cause.left)}"
-        for cause in found.causes
-    ]
-
-
-def _bad(found: Change) -> list[str]:
-    if not found.bad_lines:
-        return []
-    fit = "fits" if len(found.bad_lines) == 1 else "fit"
-    return [
-        f"{capital(numbered_lines(found.bad_lines))} {fit} neither the other rows nor any change of the arm. Measure "
-        f"{_it(found)} again."
-    ]
 
 
 def _rests_on(found: Change) -> str:

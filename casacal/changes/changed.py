@@ -81,9 +81,13 @@ def looked(
     first = Look.at(fresh, given.noise_freedom, float(alarm), int(seed))
     look, best, places = _without_bad(first, len(given.rows), float(alarm), int(seed))
     bad = sorted(set(range(len(given.rows))) - set(places.tolist()))
-    ended = _ended(look, best, bad)
     proposed, tells = None, 0.0
-    if ended == UNDECIDED:
+    if not look.alarm:
+        ended = ROWS if bad else NOTHING
+    elif len(best) == 1 and best[0].cause and best[0].share >= SURE and best[0].left >= UNEXPLAINED:
+        ended = CHANGED  # surer than all others together, and nothing is left that is hardly chance
+    else:
+        ended = UNDECIDED
         proposed, tells = telling(given.source.problem, look, best, int(touches), int(seed))
     whitened = first.tests.fresh
     joints = [k for k, cause in enumerate(look.causes) if cause.kind == "joint"]
@@ -119,16 +123,6 @@ def _without_bad(look: Look, count: int, alarm: float, seed: int) -> tuple[Look,
         look = look.without(best[0].row, alarm, seed)
         places = np.delete(places, best[0].row)
     return look, [], places
-
-
-def _ended(look: Look, best: list[Explanation], bad: list[int]) -> str:
-    """How it ended: one cause must be surer than all others together, and leave nothing that is hardly chance."""
-    if not look.alarm:
-        return ROWS if bad else NOTHING
-    only = best[0] if len(best) == 1 else None
-    if only is None or only.cause is None or only.share < SURE or only.left < UNEXPLAINED:
-        return UNDECIDED
-    return CHANGED
 
 
 def _cause(found: Explanation, look: Look, rows: Samples, places: NDArray[np.intp]) -> CauseFound:

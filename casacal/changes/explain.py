@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem
 from casacal.calibration.fresh import Fresh
 from casacal.changes.change import Change
 from casacal.changes.look import Cause, Look, alone
@@ -50,7 +49,7 @@ NAMED = 0.02  # part of the evidence below which a cause is none of those that r
 class FittedCause:
     """A cause at its best: its unknowns (k,) with standard deviations, and everything.
 
-    x (n,): where all stands. root (n, v): of its covariance.
+    x (n,): all unknowns. root (n, v): of their covariance, along all that is known.
     """
 
     shift: Array
@@ -96,15 +95,13 @@ def explanations(look: Look, *, linear: bool = False) -> list[Explanation]:
         if not look.seen(k):
             continue
         n, cost = int(tests.freedoms[k]), occam(look.slopes[k], cause.sizes)
-        if linear:
-            left, evidence = _judged(look, nothing - float(by_cause[k]), n, cost)
-            found.append(Explanation(cause, -1, float(p_cause[k]), left, evidence))
-            continue
-        _, _, rows = svd(look.slopes[k] * cause.sizes)
-        used = cause.sizes[:, None] * rows[:n].T  # directions in its own unknowns along which it shows
-        fitted, chi_square = _fitted(look, cause, used)
+        fitted, chi_square, p = None, nothing - float(by_cause[k]), float(p_cause[k])
+        if not linear:
+            _, _, rows = svd(look.slopes[k] * cause.sizes)
+            used = cause.sizes[:, None] * rows[:n].T  # directions in its own unknowns along which it shows
+            fitted, chi_square = _fitted(look, cause, used)
+            p = chance(max(nothing - chi_square, 0.0), n, tests.noise)
         left, evidence = _judged(look, chi_square, n, cost)
-        p = chance(max(nothing - chi_square, 0.0), n, tests.noise)
         found.append(Explanation(cause, -1, p, left, evidence, fitted=fitted))
     per_row = tests.rows.shape[2]
     for k in np.flatnonzero(tests.row_freedoms > 0).tolist():
@@ -133,17 +130,12 @@ def _fitted(look: Look, cause: Cause, used: Array) -> tuple[FittedCause, float]:
     found = lm(part, start=at[kept], max_steps=STEPS)
     x, covariance = part.expand(found.x), np.zeros((at.size, at.size))
     covariance[np.ix_(kept, kept)] = found.covariance
-    own = cause.columns
-    std = np.sqrt(np.maximum(np.diagonal(covariance)[own], 0.0))
-    return FittedCause(x[own], std, x, _root(covariance)), 2 * found.cost
-
-
-def _root(covariance: Array) -> Array:
-    """Root (n, v) of a covariance, along all that is known."""
-    known = np.flatnonzero(np.isfinite(np.diagonal(covariance)) & (np.diagonal(covariance) > 0))
-    root = np.zeros((len(covariance), known.size))
-    root[known] = covariance_root(covariance[np.ix_(known, known)])
-    return root
+    variances = np.diagonal(covariance)
+    bounded = np.flatnonzero(np.isfinite(variances) & (variances > 0))
+    root = np.zeros((at.size, bounded.size))
+    root[bounded] = covariance_root(covariance[np.ix_(bounded, bounded)])
+    std = np.sqrt(np.maximum(variances[cause.columns], 0.0))
+    return FittedCause(x[cause.columns], std, x, root), 2 * found.cost
 
 
 def contenders(found: list[Explanation]) -> list[Explanation]:
@@ -165,9 +157,8 @@ def contenders(found: list[Explanation]) -> list[Explanation]:
 
 def _judged(look: Look, chi_square: float, freedom: int, cost: float) -> tuple[float, float]:
     """Chance of the chi-square that is left, and the evidence, after so many directions of such a cost were fitted."""
-    tests = look.tests
-    whole = tests.fresh.freedom
-    return chance(chi_square, whole - freedom, tests.noise), likelihood(chi_square, whole, tests.noise) - cost
+    whole, noise = look.tests.fresh.freedom, look.tests.noise
+    return chance(chi_square, whole - freedom, noise), likelihood(chi_square, whole, noise) - cost
 
 
 POOL = 400  # touches among which is chosen
@@ -175,10 +166,6 @@ WIDER = 1.5
 """Size of a face over the way between its touches: where somebody touched, one can touch again, and a little beside."""
 
 LEAST = 20.0  # side of a face, mm, that has hardly been touched
-
-
-_Expected = tuple[Array, Array]
-"""What a cause expects of each touch of a pool: whitened residuals (N, m), slopes (N, m, k) by its doubt."""
 
 
 def telling(
@@ -196,7 +183,10 @@ def telling(
         there = look.shifted.on(replace(pool, sha256="pool"))
     except CasacalError:  # out of reach, or of faces that these rows do not know
         return None, 0.0
-    told = [_expected(each, there) for each in causes]
+    told = []  # of each cause: whitened residuals (N, m), and their slopes (N, m, k) along what it leaves open
+    for each in causes:
+        slopes = there.jacobian(each.x) @ each.root
+        told.append((there.residual(each.x).reshape(len(pool), -1), slopes.reshape(len(pool), -1, slopes.shape[1])))
     pairs = list(combinations(range(len(causes)), 2))
     chosen, odds = list[int](), 0.0
     for _ in range(min(count, len(pool))):
@@ -211,13 +201,7 @@ def telling(
     return replace(best, lines=tuple(range(1, len(chosen) + 1)), file="planned touches"), odds
 
 
-def _expected(fitted: FittedCause, there: BoundProblem) -> _Expected:
-    """Of an explanation: where it puts the arm, and what it leaves open."""
-    count, slopes = len(there.block.samples), there.jacobian(fitted.x) @ fitted.root
-    return there.residual(fitted.x).reshape(count, -1), slopes.reshape(count, -1, slopes.shape[1])
-
-
-def _odds(one: _Expected, two: _Expected, rows: list[int]) -> float:
+def _odds(one: tuple[Array, Array], two: tuple[Array, Array], rows: list[int]) -> float:
     """Logarithm of the odds to expect of some touches between two causes."""
     apart = (one[0][rows] - two[0][rows]).ravel()
     spread = np.eye(apart.size)

@@ -9,7 +9,7 @@ import numpy as np
 
 from casacal.array_types import Array, Index
 from casacal.doctor.pendant_rows import ANGLES, LENGTHS, PendantRows, angle_between, rotations_as, rotations_of
-from casacal.doctor.search import Axes, Family, Halves, Integers, axes_of, one_change_away, poses_of
+from casacal.doctor.search import Axes, Halves, Integers, axes_of, one_change_away, poses_of, settings_changed
 from casacal.errors import CasacalError
 from casacal.robots.dh_table import DHTable
 from casacal.robots.joints import Conventions
@@ -24,7 +24,7 @@ MOST_MEANINGS = 48  # different meanings that are told apart; when more fit, the
 class Meaning:
     """One meaning of the controller's joint values, and all ways to write it that fit the rows.
 
-    conventions: the simplest first. reading: the same as an entry of the family (n, 4). joint_unit, length_unit: of the
+    conventions: the simplest first. reading: one of them as the search has it (n, 4). joint_unit, length_unit: of the
     numbers shown. rotations: which conventions of the orientation do the rows, with the worst miss, rad. miss_mm: of
     the positions, the worst.
     """
@@ -41,23 +41,17 @@ class Meaning:
         """The way to write it with the fewest changes from plain."""
         return self.conventions[0]
 
-    @property
-    def family(self) -> Family:
-        """The reading alone, as a family of one."""
-        return Family(self.reading[None], np.zeros(1, dtype=bool))
 
-
-def distinct(axes: Axes, family: Family) -> list[Index]:
-    """Indices of the readings of each meaning, at most `MOST_MEANINGS` of them; decided at random joint values."""
-    if not len(family):
+def distinct(axes: Axes, options: Integers) -> list[Index]:
+    """Indices of the readings (H, n, 4) of each meaning, at most `MOST_MEANINGS` of them, by random joint values."""
+    if not len(options):
         return []
-    n = len(axes.turns)
     spread = np.where(axes.turns, np.pi, 500.0)
-    q = np.random.default_rng(0).uniform(-spread, spread, (COMPARED, n))
-    turn, place = poses_of(axes, family, q)
-    told = np.concatenate([turn.reshape(len(family), -1), place.reshape(len(family), -1)], axis=1)
+    q = np.random.default_rng(0).uniform(-spread, spread, (COMPARED, len(spread)))
+    turn, place = poses_of(axes, options, q)
+    told = np.concatenate([turn.reshape(len(options), -1), place.reshape(len(options), -1)], axis=1)
     groups: list[Index] = []
-    left = np.arange(len(family))
+    left = np.arange(len(options))
     while left.size and len(groups) < MOST_MEANINGS:
         same = np.abs(told[left] - told[left[0]]).max(axis=1) < SAME
         groups.append(left[same])
@@ -132,34 +126,23 @@ def further_pose(
     counts = inside.sum(axis=0)
     shown = shown[counts == counts.max()]
     if len(meanings) == 1:
-        family = one_change_away(best.reading, axes.turns)
-        rivals = Family(np.concatenate([best.reading[None], family.options]), np.zeros(len(family) + 1, dtype=bool))
+        rivals = np.concatenate([best.reading[None], one_change_away(best.reading, axes.turns)])
         turn, place = poses_of(axes, rivals, shown * scale)
+        one, other = np.zeros(len(turn) - 1, dtype=np.intp), np.arange(1, len(turn))
     else:
-        told = [poses_of(axes, m.family, shown * _scale(axes, m)) for m in meanings]
-        turn = np.concatenate([each[0] for each in told])
+        told = [poses_of(axes, m.reading[None], shown * _scale(axes, m)) for m in meanings]
+        turn = np.concatenate([turned for turned, _ in told])
         # as the controller shows it: a metre and a millimetre that read alike cannot be told apart
-        place = np.concatenate(
-            [
-                each[1] * LENGTHS[best.length_unit] / LENGTHS[m.length_unit]
-                for each, m in zip(told, meanings, strict=True)
-            ]
-        )
-    one, other = np.triu_indices(len(turn), k=1)
-    if len(meanings) == 1:
-        one, other = one[one == 0], other[one == 0]
-    apart = np.linalg.norm(place[one] - place[other], axis=-1), angle_between(turn[one], turn[other])
-    size = np.maximum(apart[0] / tolerance, apart[1] / (tolerance * 1e-3))
-    twins = size.max(axis=1) < 1e-3
-    size, apart = size[~twins], (apart[0][~twins], apart[1][~twins])
-    chosen = int(np.lexsort((size.min(axis=0), (size > TOLD).sum(axis=0)))[-1])
-    least = int(np.argmin(size[:, chosen]))
-    return FurtherPose(
-        shown[chosen],
-        float((size[:, chosen] > TOLD).mean()),
-        float(apart[0][least, chosen]),
-        float(apart[1][least, chosen]),
-    )
+        units = [LENGTHS[best.length_unit] / LENGTHS[m.length_unit] for m in meanings]
+        place = np.concatenate([moved * unit for (_, moved), unit in zip(told, units, strict=True)])
+        one, other = np.triu_indices(len(turn), k=1)
+    mm, rad = np.linalg.norm(place[one] - place[other], axis=-1), angle_between(turn[one], turn[other])
+    size = np.maximum(mm / tolerance, rad / (tolerance * 1e-3))
+    differ = size.max(axis=1) >= 1e-3  # the others are twins in any posture
+    size, mm, rad = size[differ], mm[differ], rad[differ]
+    at = int(np.lexsort((size.min(axis=0), (size > TOLD).sum(axis=0)))[-1])
+    least = int(np.argmin(size[:, at]))
+    return FurtherPose(shown[at], float((size[:, at] > TOLD).mean()), float(mm[least, at]), float(rad[least, at]))
 
 
 def _scale(axes: Axes, meaning: Meaning) -> Array:
@@ -221,7 +204,7 @@ def _misses(
     n, length, scale = rows.joints.shape[1], LENGTHS[meaning.length_unit], _scale(axes, meaning)
 
     def miss(numbers: Array) -> Array:
-        turn, place = poses_of(axes, meaning.family, numbers[:, :n] * scale)
+        turn, place = poses_of(axes, meaning.reading[None], numbers[:, :n] * scale)
         apart = place[0] @ base[:3, :3].T + base[:3, 3] - numbers[:, n : n + 3] * length
         turned = base[:3, :3] @ turn[0] - rotations_as(numbers[:, n + 3 :], *name)
         # the norm of a difference of rotations is sqrt(2) times a small angle
@@ -422,19 +405,19 @@ def _meanings(known: _ArmAsDrawn, rows: PendantRows, tolerance: float) -> tuple[
         miss_mm = np.linalg.norm(place - positions, axis=2).max(axis=1)
         misses = {name: angle_between(turn, shown).max(axis=1) for name, shown in orientations.items()}
         fits = np.flatnonzero(np.min(list(misses.values()), axis=0) <= tolerance * 1e-3)
-        groups = distinct(known.axes, readings.take(fits))
+        groups = distinct(known.axes, readings[fits])
         more |= len(groups) == MOST_MEANINGS
         for group in groups:
             same = fits[group]
             written = sorted(
-                {c for i in same if (c := conventions_of(readings.options[i], known.axes.mixing)) is not None},
+                {c for i in same if (c := conventions_of(readings[i], known.axes.mixing)) is not None},
                 key=changes,
             )
-            first = same[int(np.argmin(readings.take(same).changes))]
+            first = same[int(np.argmin(settings_changed(readings[same])))]
             rotations = {name: float(miss[first]) for name, miss in misses.items() if miss[first] <= tolerance * 1e-3}
             if written:
-                reading, worst = readings.options[first], float(miss_mm[first])
-                meanings.append(Meaning(tuple(written), reading, joint_unit, length_unit, rotations, worst))
+                worst = float(miss_mm[first])
+                meanings.append(Meaning(tuple(written), readings[first], joint_unit, length_unit, rotations, worst))
     stated = {(rows.joint_unit or "deg", rows.length_unit or "mm")}
     meanings.sort(key=lambda m: ((m.joint_unit, m.length_unit) not in stated, changes(m.simplest)))
     return tuple(meanings), more
@@ -457,7 +440,7 @@ def _nearest(known: _ArmAsDrawn, rows: PendantRows) -> Miss | None:
     """How near the best reading comes; None when the positions are out of the arm's reach in any unit."""
     best: Miss | None = None
     for _, _, q, positions in _guesses(known, rows):
-        readings: Family = known.halves.nearest(q, positions)
+        readings = known.halves.nearest(q, positions)
         turn, place = poses_of(known.axes, readings, q)
         mm = np.linalg.norm(place - positions, axis=2).max(axis=1)
         shown = rotations_of(rows.orientations).values()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
@@ -92,7 +93,15 @@ def read_pendant_rows(path: str | Path, turns: Sequence[bool]) -> PendantRows:
             fix = "Use the rows of this robot"
             raise SamplesError(table.file, f"the robot has {len(turns)} joints", fix, column=name)
     place = [_column(table, name, LENGTHS) for name in ("x", "y", "z")]
-    turn = [(name, "") for name in QUATERNION] if set(QUATERNION) <= set(table.header) else _angles(table)
+    stems = {name.split("_")[0] for name in table.header}
+    if set(QUATERNION) <= set(table.header):
+        turn = [(name, "") for name in QUATERNION]
+    elif triple := next((names for names in TRIPLES if stems.issuperset(names)), None):
+        turn = [_column(table, name, ANGLES) for name in triple]
+    else:
+        what = f"there is no orientation: the columns are {', '.join(table.header[:20])}"
+        fix = "Add qw,qx,qy,qz or three of rx,ry,rz or a,b,c or w,p,r or o,a,t, with _deg or _rad"
+        raise SamplesError(table.file, what, fix, line=table.header_line)
     orientations = _numbers(table, turn)
     lengths = np.linalg.norm(orientations, axis=1)
     for i in np.flatnonzero((len(turn) == 4) & (np.abs(lengths - 1) > 1e-2))[:1]:
@@ -102,24 +111,13 @@ def read_pendant_rows(path: str | Path, turns: Sequence[bool]) -> PendantRows:
         _numbers(table, joints),
         _numbers(table, place),
         orientations,
-        _one_unit(table, [joint for joint, turning in zip(joints, turns, strict=True) if turning]),
-        _one_unit(table, [*place, *(joint for joint, turning in zip(joints, turns, strict=True) if not turning)]),
+        _one_unit(table, list(compress(joints, turns))),
+        _one_unit(table, [*place, *compress(joints, (not turning for turning in turns))]),
         _one_unit(table, turn),
         table.lines,
         table.file,
         tuple(name for name, _ in (*joints, *place, *turn)),
     )
-
-
-def _angles(table: Table) -> list[tuple[str, str]]:
-    """The three columns of an orientation, with the unit that each states."""
-    stems = {name.split("_")[0] for name in table.header}
-    for triple in TRIPLES:
-        if stems.issuperset(triple):
-            return [_column(table, name, ANGLES) for name in triple]
-    what = f"there is no orientation: the columns are {', '.join(table.header[:20])}"
-    fix = "Add qw,qx,qy,qz or three of rx,ry,rz or a,b,c or w,p,r or o,a,t, with _deg or _rad"
-    raise SamplesError(table.file, what, fix, line=table.header_line)
 
 
 def _column(table: Table, name: str, units: dict[str, float]) -> tuple[str, str]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from types import SimpleNamespace
 from typing import Any, TypeAlias
 
@@ -21,7 +22,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.array_types import Array, Index, Rows
+from casacal.array_types import Array, Index
 from casacal.errors import ProblemError
 from casacal.kernels.block_rows import Batch
 from casacal.kinematics import stacked_poses
@@ -140,66 +141,36 @@ def about(direction: Array, angles: Array) -> Array:
 
 
 Integers: TypeAlias = NDArray[np.int8]
-
-Option: TypeAlias = tuple[int, int, int, int]
-"""Sign, quarter turns, partner (counted from 0; -1 for none), factor: one way to read one joint."""
+"""Readings of consecutive joints (H, m, 4): of each its sign, quarter turns, partner (from 0; -1 for none), factor."""
 
 
-@dataclass(frozen=True)
-class Family:
-    """Readings of consecutive joints, one per row.
-
-    options: (H, m, 4), an `Option` for each joint. distant: rows (H,) that couple a joint with one not before it.
-    """
-
-    options: Integers
-    distant: Rows
-
-    def __len__(self) -> int:
-        return len(self.options)
-
-    def take(self, rows: Index) -> Family:
-        """Some of the readings."""
-        return Family(self.options[rows], self.distant[rows])
-
-    @property
-    def coupled(self) -> Rows:
-        """Readings (H,) that couple joints."""
-        return np.asarray((self.options[..., 2] >= 0).any(axis=1))
-
-    @property
-    def changes(self) -> Index:
-        """In how many settings a reading differs from plain (H,)."""
-        sign, quarter, partner, _ = np.moveaxis(self.options, -1, 0)
-        return np.asarray(((sign < 0).astype(int) + (quarter != 0) + (partner >= 0)).sum(axis=1))
+def settings_changed(options: Integers) -> Index:
+    """In how many settings each reading (H, m, 4) differs from plain (H,)."""
+    sign, quarter, partner, _ = np.moveaxis(options, -1, 0)
+    return np.asarray(((sign < 0).astype(int) + (quarter != 0) + (partner >= 0)).sum(axis=1))
 
 
 @dataclass(frozen=True)
 class Products:
-    """All readings of some consecutive joints, as products of what each joint may be.
+    """All readings of some consecutive joints, as products: in each part, the options (k, 4) of every joint."""
 
-    parts: for each product the options of each joint, (k, 4) each. distant: which products couple a joint with one not
-    before it.
-    """
-
-    joints: tuple[int, ...]
+    joints: range
     parts: tuple[tuple[Integers, ...], ...]
-    distant: tuple[bool, ...]
 
-    def family(self) -> Family:
-        """The readings one by one, in the order of the products."""
-        options, marks = [], []
-        for part, mark in zip(self.parts, self.distant, strict=True):
+    @cached_property
+    def options(self) -> Integers:
+        """The readings one by one (H, m, 4), in the order of the products."""
+        options = []
+        for part in self.parts:
             index = np.indices([len(each) for each in part]).reshape(len(part), -1)
             listed = [each[rows] for each, rows in zip(part, index, strict=True)]
             options.append(np.stack(listed, axis=1) if part else np.zeros((1, 0, 4), dtype=np.int8))
-            marks.append(np.full(len(options[-1]), mark))
-        return Family(np.concatenate(options), np.concatenate(marks))
+        return np.concatenate(options)
 
     def carried(self, axes: Axes, q: Array, points: Array, *, back: bool) -> Array:
         """Points (N, 3; mm) carried by every reading, (H, N, 3): up through the joints, or back through their inverses.
 
-        What only some joints decide is computed once for all readings that share it.
+        Positions that depend on some of the joints are computed once for all readings that share those.
         """
         carried = []
         for part in self.parts:
@@ -222,45 +193,42 @@ def motions(options: Integers, joint: int, q: Array) -> Array:
     return np.asarray(sign * (q[:, joint] + factor * other) + quarter * (np.pi / 2))
 
 
-def readings(joints: Sequence[int], turns: Sequence[bool], *, coupled: bool = True) -> Products:
-    """All readings of consecutive joints (counted from 0) of an arm whose joints turn or slide as `turns` says.
+def readings(joints: range, turns: Sequence[bool], *, coupled: bool) -> Products:
+    """All readings of consecutive joints (counted from 0), with couplings or without.
 
-    Without couplings when `coupled` is false.
+    turns: which joints of the arm turn (n,). Only joints measured against the one before them are coupled together.
     """
-    every = [np.array(_options(i, turns), dtype=np.int8) for i in joints]
+    every = [_options(i, turns) for i in joints]
     plain = [each[each[:, 2] < 0] for each in every]
     if not coupled:
-        return Products(tuple(joints), (tuple(plain),), (False,))
+        return Products(joints, (tuple(plain),))
     near = [(each[:, 2] < 0) | (each[:, 2] == i - 1) for i, each in zip(joints, every, strict=True)]
-    parts, distant = [tuple(each[rows] for each, rows in zip(every, near, strict=True))], [False]
-    for k in range(len(every)):
+    parts = [tuple(each[rows] for each, rows in zip(every, near, strict=True))]
+    for k, each in enumerate(every):
         if not near[k].all():
-            parts.append((*plain[:k], every[k][~near[k]], *plain[k + 1 :]))
-            distant.append(True)
-    return Products(tuple(joints), tuple(parts), tuple(distant))
+            parts.append((*plain[:k], each[~near[k]], *plain[k + 1 :]))
+    return Products(joints, tuple(parts))
 
 
-def joined(left: Family, right: Family) -> Family:
-    """Readings of all joints from as many of the left and of the right ones."""
-    return Family(np.concatenate([left.options, right.options], axis=1), left.distant | right.distant)
-
-
-def one_change_away(reading: Integers, turns: Sequence[bool]) -> Family:
-    """All readings of the whole arm that differ from one (n, 4) in one joint."""
-    rows = []
+def one_change_away(reading: Integers, turns: Sequence[bool]) -> Integers:
+    """All readings (H, n, 4) of the whole arm that differ from one (n, 4) in one joint."""
+    found = []
     for i in range(len(turns)):
-        for option in _options(i, turns):
-            if option != tuple(reading[i]):
-                rows.append(np.concatenate([reading[:i], [np.array(option, dtype=np.int8)], reading[i + 1 :]]))
-    return Family(np.array(rows, dtype=np.int8), np.zeros(len(rows), dtype=bool))
+        options = _options(i, turns)
+        others = options[(options != reading[i]).any(axis=1)]
+        changed = np.repeat(reading[None], len(others), axis=0)
+        changed[:, i] = others
+        found.append(changed)
+    return np.concatenate(found)
 
 
-def _options(joint: int, turns: Sequence[bool]) -> list[Option]:
-    """Every way to read one joint."""
+def _options(joint: int, turns: Sequence[bool]) -> Integers:
+    """Every way to read one joint (k, 4)."""
     if not turns[joint]:
-        return [(1, 0, -1, 0), (-1, 0, -1, 0)]
+        return np.array([(1, 0, -1, 0), (-1, 0, -1, 0)], dtype=np.int8)
     partners = [(-1, 0), *((j, f) for j in range(len(turns)) if j != joint and turns[j] for f in (-1, 1))]
-    return [(sign, quarter, *pair) for pair in partners for quarter in (0, 1, 2, -1) for sign in (1, -1)]
+    found = [(sign, quarter, *pair) for pair in partners for quarter in (0, 1, 2, -1) for sign in (1, -1)]
+    return np.array(found, dtype=np.int8)
 
 
 MATCHED_ROWS = 3  # rows, the most different ones, that are compared in the tree; the others are checked afterwards
@@ -276,22 +244,20 @@ class Halves:
     """All readings of the joints of each half, prepared once for an arm."""
 
     axes: Axes
-    products: tuple[Products, Products]
-    left: Family
-    right: Family
+    left: Products
+    right: Products
 
     @staticmethod
     def of(axes: Axes, *, coupled: bool = True) -> Halves:
         """Split the joints of an arm in the middle; without couplings when `coupled` is false."""
         n = len(axes.turns)
-        parts = (range(n // 2), range(n // 2, n))
-        left, right = (readings(part, axes.turns, coupled=coupled) for part in parts)
-        return Halves(axes, (left, right), left.family(), right.family())
+        left, right = (readings(part, axes.turns, coupled=coupled) for part in (range(n // 2), range(n // 2, n)))
+        return Halves(axes, left, right)
 
     def fitting(
         self, q: Array, positions: Array, orientations: Iterable[Array], tolerance: float
-    ) -> tuple[Family, bool]:
-        """Readings that bring the flange within `tolerance` mm of positions (N, 3; mm) at q (N, n; rad, mm).
+    ) -> tuple[Integers, bool]:
+        """Readings (H, n, 4) that bring the flange within `tolerance` mm of positions (N, 3; mm) at q (N, n; rad, mm).
 
         And whether others were left aside. Where too many do, as when the last axes meet in the flange, only those are
         kept that also turn it within as many mrad of one of the orientations (N, 3, 3) that the rows may mean.
@@ -308,25 +274,25 @@ class Halves:
         halves = Halves.of(self.axes, coupled=False)
         left, right, radius = halves._trees(q, positions, tolerance)
         found = halves._checked(_pairs(left, right, radius), q, positions, tolerance)
-        return found.take(np.argsort(found.changes, kind="stable")[:MOST]), True
+        return found[np.argsort(settings_changed(found), kind="stable")[:MOST]], True
 
-    def nearest(self, q: Array, positions: Array) -> Family:
-        """Readings that come about as near to the positions as any do."""
+    def nearest(self, q: Array, positions: Array) -> Integers:
+        """Readings (H, n, 4) that come about as near to the positions as any do."""
         left, right, _ = self._trees(q, positions, 0.0)
         best = np.argsort(_distances(left, right), kind="stable")[:NEAREST]
         # last joints that only turn the flange leave its position alone, so many stand at one point
-        index = right.query(left.data[best], k=min(ALIKE, len(self.right)))[1].reshape(len(best), -1)
-        return joined(self.left.take(np.repeat(best, index.shape[1])), self.right.take(index.ravel()))
+        index = right.query(left.data[best], k=min(ALIKE, right.n))[1].reshape(len(best), -1)
+        return self._whole(np.column_stack([np.repeat(best, index.shape[1]), index.ravel()]))
 
     def _turned_alike(self, near: Index, q: Array, orientations: Iterable[Array], tolerance: float) -> Index | None:
         """Pairs of some left readings (by index) with right ones that turn the flange as shown; None when too many."""
         from scipy.spatial import KDTree
 
-        rows, middle = most_different(q, MATCHED_ROWS), len(self.products[0].joints)
+        rows, middle = most_different(q, MATCHED_ROWS), len(self.left.joints)
         radius = 1.5 * tolerance * 1e-3 * np.sqrt(len(rows))  # |R - R'| is sqrt(2) times a small angle
-        turns = _turns(self.axes, self.right, middle, q[rows]) @ self.axes.turn
+        turns = _turns(self.axes, self.right.options, middle, q[rows]) @ self.axes.turn
         tree, found = KDTree(turns.reshape(len(turns), -1)), np.zeros((0, 2), dtype=np.intp)
-        back = _turns(self.axes, self.left.take(near), 0, q[rows]).swapaxes(-1, -2)
+        back = _turns(self.axes, self.left.options[near], 0, q[rows]).swapaxes(-1, -2)
         for shown in orientations:
             wanted = KDTree((back @ shown[rows]).reshape(len(near), -1))
             if wanted.count_neighbors(tree, radius) > MOST:
@@ -339,21 +305,26 @@ class Halves:
         """k-d trees of both halves' points, and the radius within which they meet."""
         from scipy.spatial import KDTree
 
-        rows, (left, right) = most_different(q, MATCHED_ROWS), self.products
-        back = left.carried(self.axes, q[rows], positions[rows], back=True)
-        up = right.carried(self.axes, q[rows], np.tile(self.axes.place, (len(rows), 1)), back=False)
+        rows = most_different(q, MATCHED_ROWS)
+        back = self.left.carried(self.axes, q[rows], positions[rows], back=True)
+        up = self.right.carried(self.axes, q[rows], np.tile(self.axes.place, (len(rows), 1)), back=False)
         trees = (KDTree(points.reshape(len(points), -1)) for points in (back, up))
         return *trees, tolerance * np.sqrt(len(rows))
 
-    def _checked(self, pairs: Index, q: Array, positions: Array, tolerance: float) -> Family:
+    def _whole(self, pairs: Index) -> Integers:
+        """Readings (P, n, 4) of all joints from pairs (P, 2) of a left and a right one."""
+        return np.concatenate([self.left.options[pairs[:, 0]], self.right.options[pairs[:, 1]]], axis=1)
+
+    def _checked(self, pairs: Index, q: Array, positions: Array, tolerance: float) -> Integers:
         """Those pairs that belong to the family and fit every row."""
-        left, right = self.left.take(pairs[:, 0]), self.right.take(pairs[:, 1])
+        whole = self._whole(pairs)
+        coupled = whole[..., 2] >= 0
+        distant = coupled & (whole[..., 2] != np.arange(whole.shape[1]) - 1)
         # a coupling of joints that are not neighbours stands alone
-        allowed = np.flatnonzero(~(left.distant & right.coupled) & ~(right.distant & left.coupled))
-        whole = joined(left.take(allowed), right.take(allowed))
+        whole = whole[~distant.any(axis=1) | (coupled.sum(axis=1) == 1)]
         _, places = poses_of(self.axes, whole, q)
         worst = np.linalg.norm(places - positions, axis=2).max(axis=1, initial=0.0)
-        return whole.take(np.flatnonzero(worst <= tolerance))
+        return np.asarray(whole[worst <= tolerance], dtype=np.int8)
 
 
 def _distances(left: Any, right: Any, most: float = np.inf) -> Array:
@@ -374,19 +345,18 @@ def _pairs(left: Any, right: Any, radius: float) -> Index:
     return np.array(found, dtype=np.intp).reshape(-1, 2)
 
 
-def _turns(axes: Axes, family: Family, first: int, q: Array) -> Array:
+def _turns(axes: Axes, options: Integers, first: int, q: Array) -> Array:
     """Rotations (H, N, 3, 3) of some consecutive joints, the first of them given, by every reading of a half."""
-    product = np.broadcast_to(np.eye(3), (len(family), len(q), 3, 3))
-    for k in range(family.options.shape[1]):
+    product = np.broadcast_to(np.eye(3), (len(options), len(q), 3, 3))
+    for k in range(options.shape[1]):
         if axes.turns[first + k]:
-            product = product @ about(axes.directions[first + k], motions(family.options[:, k], first + k, q))
+            product = product @ about(axes.directions[first + k], motions(options[:, k], first + k, q))
     return product
 
 
-def poses_of(axes: Axes, family: Family, q: Array) -> tuple[Array, Array]:
+def poses_of(axes: Axes, options: Integers, q: Array) -> tuple[Array, Array]:
     """Rotations (H, N, 3, 3) and positions (H, N, 3; mm) of each reading at the controller's values (N, n; rad, mm)."""
-    n = len(axes.turns)
-    return axes.poses(np.stack([motions(family.options[:, i], i, q) for i in range(n)], axis=-1))
+    return axes.poses(np.stack([motions(options[:, i], i, q) for i in range(len(axes.turns))], axis=-1))
 
 
 def most_different(q: Array, count: int) -> Index:

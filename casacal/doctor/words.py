@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from casacal.doctor.diagnosis import ENOUGH, Diagnosis, Meaning
+from casacal.doctor.diagnosis import ENOUGH, Diagnosis
 from casacal.doctor.pendant_rows import MEANINGS
 from casacal.problem.problem_text import conventions_line
 from casacal.robots.dh_table import conventions_toml
@@ -65,9 +65,15 @@ def _verdict(found: Diagnosis) -> str:
 
 def _settings(found: Diagnosis) -> Iterable[str]:
     """One line per joint, then units and orientation: the value, and whether it is certain or open."""
-    written = _alike(found.meanings)
+    first = found.meanings[0].simplest
+
+    def differing(other: Conventions) -> int:
+        return sum(_joint(other, i) != _joint(first, i) for i in range(len(first.signs)))
+
+    # each meaning as it differs least from the first, so that only what is open differs
+    written = [min(meaning.conventions, key=differing) for meaning in found.meanings]
     sure = found.postures >= ENOUGH and not found.more
-    for i in range(len(written[0].signs)):
+    for i in range(len(first.signs)):
         yield f"joint {i + 1}: {_open([_joint(each, i) for each in written], sure)}"
     units = [f"joint values in {m.joint_unit}, lengths in {m.length_unit}" for m in found.meanings]
     yield _open(units, sure) + _stated(found)
@@ -80,28 +86,15 @@ def _settings(found: Diagnosis) -> Iterable[str]:
 def _stated(found: Diagnosis) -> str:
     """A remark where the column names state units that do not fit."""
     best, rows = found.meanings[0], found.rows
-    wrong = [
-        f"{stated} for {what}"
-        for what, stated, fits in (
-            ("joints", rows.joint_unit, best.joint_unit),
-            ("lengths", rows.length_unit, best.length_unit),
-        )
-        if stated not in ("", fits)
-    ]
+    wrong = []
+    if rows.joint_unit not in ("", best.joint_unit):
+        wrong.append(f"{rows.joint_unit} for joints")
+    if rows.length_unit not in ("", best.length_unit):
+        wrong.append(f"{rows.length_unit} for lengths")
     angle = {unit for _, unit in best.rotations} - {""}
     if rows.angle_unit and angle and rows.angle_unit not in angle:
         wrong.append(f"{rows.angle_unit} for orientations")
     return f"; the file's column names say {', '.join(wrong)}, which is wrong" if wrong else ""
-
-
-def _alike(meanings: Sequence[Meaning]) -> list[Conventions]:
-    """For each meaning the way to write it that differs least from the first one, so that only what is open differs."""
-    first = meanings[0].simplest
-
-    def differing(other: Conventions) -> int:
-        return sum(_joint(other, i) != _joint(first, i) for i in range(len(first.signs)))
-
-    return [min(meaning.conventions, key=differing) for meaning in meanings]
 
 
 def _joint(conventions: Conventions, i: int) -> str:
@@ -148,7 +141,18 @@ def _nothing_fits(found: Diagnosis) -> Iterable[str]:
         yield f"They fit with the DH table read as {found.convention}: correct the convention that the problem states"
         return
     if found.slips:
-        yield _slip(found)
+        listed = []
+        for slip in found.slips:
+            about = round(float(f"{slip.fitting:.5g}"), 4) + 0.0  # no more digits than rows that are rounded tell
+            listed.append(f"{slip.column} in line {slip.line} ({slip.shown:.10g}; about {about:g} would fit)")
+        where = ", ".join(map(str, sorted({slip.line for slip in found.slips})))
+        one = "All rows fit but for one"
+        if len(listed) == 1:
+            yield f"{one} number: {listed[0]}. Compare it with the pendant; no other number explains it"
+        elif len(listed) <= SHOWN:
+            yield f"{one} number, either {' or '.join(listed)}. Compare them with the pendant"
+        else:
+            yield f"{one} of {len(listed)} numbers, in line {where}. Compare them with the pendant"
         return
     if found.nearest is None:
         yield "The positions are beyond the arm's reach in mm and in metres"
@@ -170,22 +174,3 @@ def _nothing_fits(found: Diagnosis) -> Iterable[str]:
         "Searched: signs, quarter turns, any joints measured against the one before or one against any other, deg and "
         "rad, mm and m, five conventions of three angles"
     )
-
-
-def _slip(found: Diagnosis) -> str:
-    """Which number was copied wrongly, as far as the rows tell."""
-    listed = [
-        f"{slip.column} in line {slip.line} ({slip.shown:.10g}; about {_about(slip.fitting)} would fit)"
-        for slip in found.slips
-    ]
-    if len(listed) == 1:
-        return f"All rows fit but for one number: {listed[0]}. Compare it with the pendant; no other number explains it"
-    if len(listed) <= SHOWN:
-        return f"All rows fit but for one number, either {' or '.join(listed)}. Compare them with the pendant"
-    where = ", ".join(map(str, sorted({slip.line for slip in found.slips})))
-    return f"All rows fit but for one of {len(listed)} numbers, in line {where}. Compare them with the pendant"
-
-
-def _about(value: float) -> str:
-    """No more digits than rows that are rounded tell: five, and four decimals."""
-    return f"{round(float(f'{value:.5g}'), 4) + 0.0:g}"

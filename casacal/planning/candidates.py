@@ -57,22 +57,19 @@ class Clearance(Value):
 
     def clear(self, robot: Robot, cell: Cell | None, joints: Array, tips: Array) -> Rows:
         """Which postures (N, n; rad, mm) keep clear, whose tips (N, 3, mm) touch faces of a cell."""
-        good = np.ones(len(joints), dtype=bool)
         if not self.boxes and self.link_radius is None:
-            return good
-        nodes = nodes_of(robot, joints)
-        rods = np.concatenate([nodes, tips[:, None]], axis=1)
+            return np.ones(len(joints), dtype=bool)
+        rods = np.concatenate([nodes_of(robot, joints), tips[:, None]], axis=1)
         if self.link_radius is None:
-            return good & ~_inside(rods[:, -2:], self.boxes, 0.0)
+            return ~_inside(rods[:, -2:], self.boxes, 0.0)
         part = np.linspace(0, 1, ALONG)[:, None]
         points = rods[:, :-1, None] * (1 - part) + rods[:, 1:, None] * part  # on rods: (N, rods, ALONG, 3)
         count, radius = len(joints), self.link_radius
-        good &= ~_inside(points.reshape(count, -1, 3), self.boxes, radius)
-        if cell is not None:
-            arm = points[:, :-2].reshape(count, -1, 3)  # the last link holds the tool, which is what touches
-            for face in cell.faces:
-                good &= ~near_face(arm, np.asarray(face.centre), face.axes, np.asarray(face.size) / 2, radius)
-        return good & ~_near_itself(points, radius)
+        hit = _inside(points.reshape(count, -1, 3), self.boxes, radius) | _near_itself(points, radius)
+        arm = points[:, :-2].reshape(count, -1, 3)  # the last link holds the tool, which is what touches
+        for face in () if cell is None else cell.faces:
+            hit |= near_face(arm, np.asarray(face.centre), face.axes, np.asarray(face.size) / 2, radius)
+        return ~hit
 
 
 def _inside(points: Array, boxes: Sequence[Box], radius: float) -> Rows:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import Enum
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -28,74 +28,11 @@ SWEEPS = 10  # times that every row of a plan is tried against all others
 BETTER = 1e-7  # part of the error by which an exchange must lower it
 
 
-class Criterion(Enum):
-    """What a plan makes small: the mean error of what is asked for, or the volume of what the unknowns may be."""
-
-    TIP = "tip"
-    """Trace of C M: I-optimal."""
-    PARAMETERS = "parameters"
-    """Determinant of C: D-optimal."""
+Criterion: TypeAlias = Literal["tip", "parameters"]
+"""A plan makes the mean error of the tip small, the trace of C M (I-optimal), or the determinant of C (D-optimal)."""
 
 
-@dataclass(frozen=True)
-class Exchanged:
-    """Rows of a plan (k,), the error that they leave (root of trace C M), and what was made small."""
-
-    rows: Index
-    error: float
-    loss: float
-
-
-def exchange(
-    rows: Array,
-    known: Array,
-    weight: Array,
-    start: Index,
-    *,
-    criterion: Criterion = Criterion.TIP,
-    barred: Rows | None = None,
-) -> Exchanged:
-    """Improve a plan until no single exchange does.
-
-    rows: whitened slopes of every measurement that could be made (N, m, n). known: information (n, n) that there is
-    without them, positive definite. weight: M (n, n). start: the plan to begin with (k,), no row twice. barred: which
-    measurements (N,) must not be taken.
-    """
-    plan, free = start.copy(), np.ones(len(rows), dtype=bool)
-    free[plan] = False
-    if barred is not None:
-        free[barred] = False
-    for _ in range(SWEEPS):
-        changed = False
-        for place in range(len(plan)):
-            rest = np.delete(plan, place)
-            covariance: Array = np.asarray(np.linalg.inv(_information(rows[rest], known)), dtype=np.float64)
-            others = gains(rows, covariance, weight, criterion)
-            others[~free] = -np.inf
-            present = float(gains(rows[plan[place]][None], covariance, weight, criterion)[0])
-            best = int(np.argmax(others))
-            left = float(np.trace(covariance @ weight)) - present if criterion is Criterion.TIP else 1.0
-            if others[best] > present + BETTER * left:
-                free[plan[place]], free[best] = barred is None or not barred[plan[place]], False
-                plan[place], changed = best, True
-        if not changed:
-            break
-    error = error_of(rows[plan], known, weight)
-    loss = error if criterion is Criterion.TIP else -float(np.linalg.slogdet(_information(rows[plan], known))[1])
-    return Exchanged(plan, error, loss)
-
-
-def error_of(rows: Array, known: Array, weight: Array) -> float:
-    """Root of trace(C M) that some rows (k, m, n) leave."""
-    return float(np.sqrt(np.trace(np.linalg.solve(_information(rows, known), weight))))
-
-
-def _information(rows: Array, known: Array) -> Array:
-    flat = rows.reshape(-1, known.shape[0])
-    return np.asarray(known + flat.T @ flat)
-
-
-def gains(rows: Array, covariance: Array, weight: Array, criterion: Criterion = Criterion.TIP) -> Array:
+def gains(rows: Array, covariance: Array, weight: Array, criterion: Criterion = "tip") -> Array:
     """By how much each measurement (N, m, n) lowers trace(C M), or the logarithm of the determinant of C: (N,)."""
     size, unknowns = rows.shape[1:]
     flat = rows.reshape(-1, unknowns)
@@ -103,10 +40,10 @@ def gains(rows: Array, covariance: Array, weight: Array, criterion: Criterion = 
     moved = seen @ weight  # in one product: a stack of small ones takes many times as long
     if size == 1:
         spread = 1 + np.einsum("kn,kn->k", seen, flat)
-        return np.asarray(np.log(spread) if criterion is Criterion.PARAMETERS else (moved * seen).sum(axis=1) / spread)
+        return np.asarray(np.log(spread) if criterion == "parameters" else (moved * seen).sum(axis=1) / spread)
     seen, moved = seen.reshape(rows.shape), moved.reshape(rows.shape)
     spread = np.einsum("kin,kjn->kij", seen, rows) + np.eye(size)
-    if criterion is Criterion.PARAMETERS:
+    if criterion == "parameters":
         return np.asarray(np.linalg.slogdet(spread)[1])
     told = np.einsum("kin,kjn->kij", moved, seen)
     return np.asarray(np.trace(np.linalg.solve(spread, told), axis1=1, axis2=2))
@@ -172,24 +109,56 @@ class Choice:
         return Choice(row_slopes(extra, x), np.asarray(held), weight)
 
     def error(self, chosen: Index) -> float:
-        """Tip error (mm RMS) that some measurements leave."""
-        return error_of(self.rows[chosen], self.known, self.weight)
+        """Tip error (mm RMS) that some measurements leave: the root of trace(C M)."""
+        return float(np.sqrt(np.trace(np.linalg.solve(self._information(chosen), self.weight))))
+
+    def _information(self, chosen: Index) -> Array:
+        flat = self.rows[chosen].reshape(-1, self.known.shape[0])
+        return np.asarray(self.known + flat.T @ flat)
+
+    def exchange(
+        self, start: Index, *, criterion: Criterion = "tip", barred: Rows | None = None
+    ) -> tuple[Index, float]:
+        """Improve a plan until no single exchange does: its rows (k,), and the tip error or ln det C they leave.
+
+        start: the plan to begin with (k,), no row twice. barred: which measurements (N,) must not be taken.
+        """
+        plan, free = start.copy(), np.ones(len(self.rows), dtype=bool)
+        free[plan] = False
+        if barred is not None:
+            free[barred] = False
+        for _ in range(SWEEPS):
+            changed = False
+            for place in range(len(plan)):
+                information = self._information(np.delete(plan, place))
+                covariance: Array = np.asarray(np.linalg.inv(information), dtype=np.float64)
+                others = gains(self.rows, covariance, self.weight, criterion)
+                others[~free] = -np.inf
+                present = float(gains(self.rows[plan[place]][None], covariance, self.weight, criterion)[0])
+                best = int(np.argmax(others))
+                left = float(np.trace(covariance @ self.weight)) - present if criterion == "tip" else 1.0
+                if others[best] > present + BETTER * left:
+                    free[plan[place]], free[best] = barred is None or not barred[plan[place]], False
+                    plan[place], changed = best, True
+            if not changed:
+                break
+        return plan, self.error(plan) if criterion == "tip" else -float(np.linalg.slogdet(self._information(plan))[1])
 
     def best_of(
         self,
         count: int,
         starts: int,
         rng: np.random.Generator,
-        criterion: Criterion = Criterion.TIP,
+        criterion: Criterion = "tip",
         barred: Rows | None = None,
     ) -> Index:
         """So many measurements, the best of some exchanges; none of those that are barred (N,)."""
         there = np.arange(len(self.rows)) if barred is None else np.flatnonzero(~barred)
         begins = [rng.choice(there, count, replace=False) for _ in range(starts)]
-        found = (exchange(self.rows, self.known, self.weight, k, criterion=criterion, barred=barred) for k in begins)
-        return min(found, key=lambda each: each.loss).rows
+        found = (self.exchange(start, criterion=criterion, barred=barred) for start in begins)
+        return min(found, key=lambda each: each[1])[0]
 
-    def curve(self, best: Index, rng: np.random.Generator, criterion: Criterion = Criterion.TIP) -> dict[int, float]:
+    def curve(self, best: Index, rng: np.random.Generator, criterion: Criterion = "tip") -> dict[int, float]:
         """Error by number of measurements: half and a quarter as many, these, and half as many again."""
         found = {len(best): self.error(best)}
         for count in sorted({max(round(len(best) * part), 3) for part in (0.25, 0.5, 0.75, 1.5)} - {len(best)}):
@@ -212,7 +181,8 @@ def seldom(problem: Problem, pool: Samples, chosen: Index) -> tuple[Rows, Rows]:
     """
     taken = np.zeros(len(pool), dtype=bool)
     taken[chosen] = True
-    all_of_them, least, fewest = np.zeros(len(pool), dtype=bool), np.zeros(len(pool), dtype=bool), len(pool)
+    few, least = np.zeros(len(pool), dtype=bool), np.zeros(len(pool), dtype=bool)
+    fewest = len(pool)
     for key in problem.instrument.datum:
         unknown = problem.instrument.unknowns[key]
         flat = int((~np.isfinite(unknown.prior_stds)).sum())
@@ -220,11 +190,11 @@ def seldom(problem: Problem, pool: Samples, chosen: Index) -> tuple[Rows, Rows]:
             count = int(taken[rows].sum())
             if count * problem.models[0].components > flat:
                 continue
-            all_of_them[rows] = True
+            few[rows] = True
             if 0 < count < fewest:
-                fewest, least = count, np.zeros(len(pool), dtype=bool)
+                fewest, least[:] = count, False
                 least[rows] = True
-    return all_of_them, least
+    return few, least
 
 
 def row_slopes(bound: BoundProblem, x: Array) -> Array:

@@ -150,7 +150,12 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[CureOutcome]:
         words = f"measure {listed([arm.names[j] for j in tool])} to {TOOL_STD:g} mm by other means"
         yield CureOutcome("tool", words, 0, told, prior)
     if len(bound.samples) > 1:
-        yield from _more_of_each(bound, x, told)
+        for i, name in enumerate(bound.problem.names):  # as much as its rows tell of the shared unknowns now
+            without, there = seen(bound.take(np.flatnonzero(bound.measured.instruments != i)), x)
+            more = EXTRA_TOUCHES / max(len(bound.samples[i]), 1)
+            information = told + more * (told - without.information(there))
+            words = f"{EXTRA_TOUCHES} more samples of the {name}"
+            yield CureOutcome(f"same as {name}", words, EXTRA_TOUCHES, information, without.prior_information)
         return
     samples = extra_samples(bound, x) if touched is None and few else None
     if touched is None and samples is None:
@@ -203,41 +208,25 @@ def _with_rows(
             face = strange[slot.label]
             slot = replace(slot, nominal=slot.unknown.placed(np.asarray(face.centre), face.axes[0]))
         new += [] if slot.name in old else [slot]
-    slots, stand = _in_row([*old.values(), *new], np.concatenate([x, np.zeros(sum(s.unknown.size for s in new))]))
+    slots, parts, first = list[Slot](), list[Array](), 0
+    for slot in (*old.values(), *new):
+        parts.append(x[slot.columns] if slot.name in old else np.zeros(slot.unknown.size))
+        slots.append(replace(slot, first=first))
+        first += slot.unknown.size
+    stand = np.concatenate(parts)
     # the noise of a new face is the mean square of that of the others
     found = list(by_face(bound.scale).values())
     others = math.sqrt(float(np.mean(np.square(found)))) if found else 1.0
     scale = times({OTHERS: others, **bound.scale}, offer.noise)
     information = np.zeros((stand.size, stand.size))
     information[: x.size, : x.size] = told
-    return BoundProblem(problem, slots, (rows,), "blocks", scale=scale), stand, information
-
-
-def _in_row(slots: Sequence[Slot], x: Array) -> tuple[tuple[Slot, ...], Array]:
-    """Slots one after the other, and their part of x (n,); new slots stand at the end of it."""
-    placed, parts, first = [], [], 0
-    for slot in slots:
-        placed.append(replace(slot, first=first))
-        parts.append(x[slot.columns])
-        first += slot.unknown.size
-    return tuple(placed), np.concatenate(parts)
+    return BoundProblem(problem, tuple(slots), (rows,), "blocks", scale=scale), stand, information
 
 
 def _field(arm: Seen, at: Array) -> Array:
     """Slopes of the tip over the workspace, apart from the position of the base (3M, s)."""
     joints = workspace_joints(arm.problem.robot)
     return without_rigid(arm.tip_jacobian(at, joints), arm.tips(at, joints))
-
-
-def _more_of_each(bound: BoundProblem, x: Array, told: Array) -> Iterator[CureOutcome]:
-    """More of what each of several instruments has measured: as much as its rows tell of the shared unknowns now."""
-    for i, name in enumerate(bound.problem.names):
-        others = np.flatnonzero(bound.measured.instruments != i)
-        arm, at = seen(bound.take(others), x)
-        more = EXTRA_TOUCHES / max(len(bound.samples[i]), 1)
-        words = f"{EXTRA_TOUCHES} more samples of the {name}"
-        information = told + more * (told - arm.information(at))
-        yield CureOutcome(f"same as {name}", words, EXTRA_TOUCHES, information, arm.prior_information)
 
 
 def _spread(covariance: Array, along: Array) -> float:

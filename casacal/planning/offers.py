@@ -60,7 +60,11 @@ class CalibratedCell:
         if labelled.probe is None or labelled.probe.label is None:
             return None
         problem = bound.problem if labelled is bound.problem.instrument else Problem(bound.problem.robot, labelled)
-        other = _usual(bound.samples[0])
+        samples = bound.samples[0]
+        columns = {name: np.array([np.median(values)]) for name, values in samples.columns.items()}
+        common = {name: int(np.argmax(np.bincount(values.codes))) for name, values in samples.labels.items()}
+        labels = {name: Labels([samples.labels[name].names[code]], np.zeros(1)) for name, code in common.items()}
+        other = replace(samples.take([0]), columns=columns, labels=labels, extra={})
         local = {
             slot.key: x[slot.columns]
             for slot in bound.slots
@@ -121,30 +125,18 @@ def _faces(bound: BoundProblem, x: Array, touch: TouchingArm, probe: Probe) -> l
         planes = ((label, fitted_plane(tips[own]), own) for label, own in some.faces(probe.label).rows().items())
         found = [(label, plane.normal, plane.centre, own) for label, plane, own in planes if plane.flat]
     found.sort(key=lambda entry: -entry[3].size)
-    most = found[:MOST_FACES]
-    return [_face(label or "plane", normal, point, tips[own], plungers[own]) for label, normal, point, own in most]
-
-
-def _face(label: str, normal: Array, point: Array, tips: Array, plungers: Array) -> tuple[Face, int, float]:
-    """A rectangle around tips (N, 3), its plane's sense, and the largest tilt of plungers (N, 3) against it."""
-    against = -(plungers @ normal)
-    sense = 1 if against.mean() > 0 else -1
-    face = Face(label, triple(point), triple(sense * normal))
-    along = (tips - point) @ face.axes[1:].T
-    low, high = along.min(axis=0), along.max(axis=0)
-    width, depth = (max(float(side), SMALLEST) for side in high - low)
-    centre = triple(point + (low + high) / 2 @ face.axes[1:])
-    tilt = math.acos(min(float((sense * against).min()), 1.0))
-    return replace(face, centre=centre, size=(width, depth)), sense, tilt
-
-
-def _usual(samples: Samples) -> Samples:
-    """One row with the commonest label and the middle value of each column."""
-    row = samples.take([0])
-    columns = {name: np.array([np.median(values)]) for name, values in samples.columns.items()}
-    common = {name: int(np.argmax(np.bincount(values.codes))) for name, values in samples.labels.items()}
-    labels = {name: Labels([samples.labels[name].names[code]], np.zeros(1)) for name, code in common.items()}
-    return replace(row, columns=columns, labels=labels, extra={})
+    made = []
+    for label, normal, point, own in found[:MOST_FACES]:
+        against = -(plungers[own] @ normal)
+        sense = 1 if against.mean() > 0 else -1
+        face = Face(label or "plane", triple(point), triple(sense * normal))
+        along = (tips[own] - point) @ face.axes[1:].T
+        low, high = along.min(axis=0), along.max(axis=0)
+        width, depth = (max(float(side), SMALLEST) for side in high - low)
+        centre = triple(point + (low + high) / 2 @ face.axes[1:])
+        tilt = math.acos(min(float((sense * against).min()), 1.0))
+        made.append((replace(face, centre=centre, size=(width, depth)), sense, tilt))
+    return made
 
 
 STEP = 100.0  # height of a gauge block, mm
@@ -219,9 +211,24 @@ def offers(bound: BoundProblem, touched: CalibratedCell) -> Iterator[Offer]:
     if now < NEARLY:
         words = f"{EXTRA_TOUCHES} planned touches with the tool tilted by up to 30 degrees"
         yield Offer("tilt", words, problem, _cell(faces, TILT))
-    if not touched.held:
-        yield from _other_faces(touched, now)
-    yield from _step(touched, now)
+    first = faces[0]
+    _, aside, side = first.axes
+    across = (aside, -aside, side, -side)
+    for aside in () if touched.held else across:
+        second = rising(first, aside, fresh("second", faces))
+        where = f"on the first face and another at right angles, facing {_named(aside)}"
+        words = f"{EXTRA_TOUCHES} planned touches, tool tilted, {where}"
+        yield Offer("face", words, problem, _cell((first, second), max(now, TILT)))
+    alike = all(abs(face.axes[0] @ first.axes[0]) > ALIKE for face in faces)
+    for aside in across if alike and not touched.held else ():
+        leaned = inclined(first, INCLINED, aside, fresh("inclined", faces))
+        words = f"{EXTRA_TOUCHES} planned touches on the plate inclined by 15 degrees towards {_named(aside)}"
+        yield Offer("inclined", words, problem, _cell((leaned,), max(now, INCLINED + 10 * MARGIN)))
+    label = fresh("known step", faces)
+    stepped = problem.instrument.with_step(label, first.label, touched.senses[0] * STEP)
+    if stepped is not None:
+        words = f"{EXTRA_TOUCHES} planned touches on a gauge block (a {STEP:g} mm step) and beside it"
+        yield Offer("step", words, Problem(problem.robot, stepped), _cell((first, block_on(first, label)), now))
 
 
 def more_samples(problem: Problem) -> Iterator[Offer]:
@@ -231,41 +238,8 @@ def more_samples(problem: Problem) -> Iterator[Offer]:
     yield Offer("noise", f"{EXTRA_TOUCHES} planned samples at half the noise", problem, None, 0.5)
 
 
-def _other_faces(touched: CalibratedCell, tilt: float) -> Iterator[Offer]:
-    """A face at right angles to the first; where all are as good as one, that one inclined."""
-    faces, problem, first = touched.faces, touched.problem, touched.faces[0]
-    leaning = max(tilt, TILT)
-    for aside in _across(first):
-        second = rising(first, aside, fresh("second", faces))
-        where = f"on the first face and another at right angles, facing {_named(aside)}"
-        words = f"{EXTRA_TOUCHES} planned touches, tool tilted, {where}"
-        yield Offer("face", words, problem, _cell((first, second), leaning))
-    if all(abs(face.axes[0] @ first.axes[0]) > ALIKE for face in faces):
-        for aside in _across(first):
-            leaned = inclined(first, INCLINED, aside, fresh("inclined", faces))
-            words = f"{EXTRA_TOUCHES} planned touches on the plate inclined by 15 degrees towards {_named(aside)}"
-            yield Offer("inclined", words, problem, _cell((leaned,), max(tilt, INCLINED + 10 * MARGIN)))
-
-
-def _step(touched: CalibratedCell, tilt: float) -> Iterator[Offer]:
-    """A gauge block that stands on the first face: touches on it and beside it."""
-    first, label = touched.faces[0], fresh("known step", touched.faces)
-    stepped = touched.problem.instrument.with_step(label, first.label, touched.senses[0] * STEP)
-    if stepped is None:
-        return
-    cell = _cell((first, block_on(first, label)), tilt)
-    words = f"{EXTRA_TOUCHES} planned touches on a gauge block (a {STEP:g} mm step) and beside it"
-    yield Offer("step", words, Problem(touched.problem.robot, stepped), cell)
-
-
 def _cell(faces: tuple[Face, ...], tilt: float) -> Cell:
     return Cell(faces=faces, tilt=tilt, error_scale=0.0, repeatability=0.0, resolution=0.0)
-
-
-def _across(face: Face) -> tuple[Array, ...]:
-    """Four directions in a face."""
-    _, aside, across = face.axes
-    return aside, -aside, across, -across
 
 
 def _named(normal: Array) -> str:

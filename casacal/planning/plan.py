@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, get_args
 
 import numpy as np
 
@@ -79,7 +79,7 @@ def plan(
     check: float = 0.15,
     box: Box | None = None,
     targets: Array | None = None,
-    criterion: Literal["tip", "parameters"] = "tip",
+    criterion: Criterion = "tip",
     clearance: Clearance | None = None,
     after: Samples | None = None,
     loose: Mapping[str, float] | None = None,
@@ -112,8 +112,7 @@ def plan(
     """
     refuse_several(problem, "A plan is for one instrument", "Plan for", box, targets)
     _refuse(touches, pool, starts, again, check)
-    refuse_unknown("criterion", [criterion], (each.value for each in Criterion))
-    wanted = Criterion(criterion)
+    refuse_unknown("criterion", [criterion], get_args(Criterion))
     still = _placed(problem, cell_of(problem, cell), after)
     reachable = pool_of(problem, still, pool, seed, clearance)
     bound = bound_pool(problem, reachable, after, loose)
@@ -121,7 +120,7 @@ def plan(
     choice = choice_at()
     checks, repeats = round(check * touches), round(again * touches)
     rng = np.random.default_rng([seed, 1])
-    best, few = _enough_of_each(problem, reachable, choice, touches - checks - repeats, starts, rng, wanted)
+    best, few = _enough_of_each(problem, reachable, choice, touches - checks - repeats, starts, rng, criterion)
     twice = best[np.linspace(0, len(best) - 1, repeats).astype(int)] if repeats else best[:0]
     left = np.setdiff1d(np.flatnonzero(~few) if after is None else np.arange(pool), best)
     fresh = kept_to_verify(problem.without_terms, reachable, left, checks, rng)
@@ -140,7 +139,7 @@ def plan(
         choice.error(best[:0]),
         float(np.median(draws)),
         choice.error(np.arange(pool)),
-        choice.curve(best, rng, wanted),
+        choice.curve(best, rng, criterion),
         choice.lost(best, LOST, DRAWS, rng),
         float(np.sqrt(np.mean(np.square(over_arms)))),
         still,
@@ -161,9 +160,8 @@ def _placed(problem: Problem, cell: Disturbances, after: Samples | None) -> Dist
         off = float(np.median((tips[touched] - face.centre) @ face.axes[0])) if len(touched) else 0.0
         if abs(off) > ASTRAY:
             what = f"Touches of '{face.label}' in {after.file} lie {abs(off):.0f} mm from where the cell has that face"
-            raise CasacalError(
-                what, "Say where the faces are (cell in the problem file), or on which table (--table Z)"
-            )
+            fix = "Say where the faces are (cell in the problem file), or on which table (--table Z)"
+            raise CasacalError(what, fix)
     return cell
 
 
@@ -176,16 +174,14 @@ def _enough_of_each(
     rng: np.random.Generator,
     criterion: Criterion,
 ) -> tuple[Index, Rows]:
-    """The best plan that touches each of its faces often enough to say where it is, and what it leaves out (N,).
-
-    Fewer touches of a face tell nothing of the arm, so that an exchange leaves them where they were at random.
-    """
+    """The best plan that touches each of its faces often enough to say where it is, and what it leaves out (N,)."""
     best, barred = choice.best_of(count, starts, rng, criterion), np.zeros(len(pool), dtype=bool)
     while True:
         few, least = seldom(problem, pool, best)
-        barred = barred | least
+        barred |= least
         if not least.any() or (~barred).sum() < 2 * count:
             return best, few if (~few).sum() >= 2 * count else np.zeros(len(pool), dtype=bool)
+        # too few touches of a face tell nothing of the arm, so that an exchange leaves them where they were at random
         best = choice.best_of(count, starts, rng, criterion, barred)
 
 
@@ -288,16 +284,14 @@ def touches_for(
                 break
             count, left = more, then
         return count
-    count = 3 if after is not None else 12
-    while count < most:
-        if choice.error(choice.best_of(count, 1, rng)) <= tolerance:
-            return count
-        count = min(max(math.ceil(count * 1.25), count + 1), most)
-    left = choice.error(choice.best_of(most, 1, rng))
-    if left > tolerance:
-        what = f"{most} best touches leave {left:.3g} mm, more than {tolerance:g} mm"
-        raise CasacalError(what, "Ask for less, measure with less noise, or add a face, a step or another instrument")
-    return most
+    count = min(3 if after is not None else 12, most)
+    while (left := choice.error(choice.best_of(count, 1, rng))) > tolerance:
+        if count == most:
+            what = f"{most} best touches leave {left:.3g} mm, more than {tolerance:g} mm"
+            fix = "Ask for less, measure with less noise, or add a face, a step or another instrument"
+            raise CasacalError(what, fix)
+        count = min(math.ceil(count * 1.25), most)
+    return count
 
 
 FLAT = 0.93  # error over that of fewer touches above which more bring little
@@ -328,8 +322,15 @@ def told(
     flat = [few for few, many in pairwise(sorted(plan.curve)) if plan.curve[many] > FLAT * plan.curve[few]]
     flat = [few for few in flat if plan.best > ENDS * plan.curve[few]]  # or it only seems so, and many more gain much
     left += f"; more than {flat[0]} gain little" if flat else ""
-    better = worth_most(compared) if compared else None
-    said = [] if better is None else [_advice(*better, fitted, kept_clear)]
+    said = []
+    if better := worth_most(compared) if compared else None:
+        best, now = better
+        without_clear = "; both ignore what must be kept clear of" if kept_clear else ""
+        now_is = f"{now.error:.3g} mm as it is" if math.isfinite(now.error) else "this one is out of reach"
+        said.append(
+            f"Consider another set-up first ({best.words}): with {fitted} fitted touches of {POOL} candidates it "
+            f"leaves {best.error:.3g} mm, {now_is}{without_clear}"
+        )
     said += [
         f"{len(plan)} touches: {fitted} to fit, {again} of them once more, {check} kept to verify",
         f"Expect a tip error of {plan.error:.3g} mm RMS {where}, apart from the position of the base, if the stated "
@@ -349,16 +350,6 @@ def told(
         reach = "this arm cannot touch it" if math.isinf(each.error) else f"{each.error:.3g} mm"
         said.append(f"  {reach}: {each.words}")
     return said
-
-
-def _advice(best: SetUp, now: SetUp, fitted: int, kept_clear: bool) -> str:
-    """What another set-up would be worth."""
-    without = "; both ignore what must be kept clear of" if kept_clear else ""
-    now_is = f"{now.error:.3g} mm as it is" if math.isfinite(now.error) else "this one is out of reach"
-    return (
-        f"Consider another set-up first ({best.words}): with {fitted} fitted touches of {POOL} candidates it leaves "
-        f"{best.error:.3g} mm, {now_is}{without}"
-    )
 
 
 def where_faces_stand(plan: Plan, problem: Problem) -> list[dict[str, Any]]:

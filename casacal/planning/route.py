@@ -122,23 +122,18 @@ def shortest_way(robot: Robot, joints: Array) -> Index:
         here = np.array(sorted(left))
         order.append(int(here[apart[order[-1], here].argmin()]))
         left.remove(order[-1])
-    return _uncrossed(np.array(order), apart)
-
-
-def _uncrossed(order: Index, apart: Array) -> Index:
-    """The same with parts of the way turned round while that makes it shorter; the first posture stays."""
-    count = len(order)
+    way = np.array(order)
     for _ in range(SWEEPS):
         shorter = False
         for i in range(count - 2):
             j = np.arange(i + 2, count)
-            after = np.append(apart[order[i + 1], order[j[:-1] + 1]], 0.0)
-            before = np.append(apart[order[j[:-1]], order[j[:-1] + 1]], 0.0)
-            change = apart[order[i], order[j]] + after - apart[order[i], order[i + 1]] - before
+            after = np.append(apart[way[i + 1], way[j[:-1] + 1]], 0.0)
+            before = np.append(apart[way[j[:-1]], way[j[:-1] + 1]], 0.0)
+            change = apart[way[i], way[j]] + after - apart[way[i], way[i + 1]] - before
             best = int(change.argmin())
             if change[best] < -1e-12:
-                order[i + 1 : j[best] + 1] = order[i + 1 : j[best] + 1][::-1].copy()
+                way[i + 1 : j[best] + 1] = way[i + 1 : j[best] + 1][::-1].copy()
                 shorter = True
         if not shorter:
             break
-    return order
+    return way

@@ -14,7 +14,7 @@ from casacal.kernels.block_rows import Batch
 from casacal.problem.problem import Problem
 from casacal.robots.robot import inside_limits, random_joints
 from casacal.samples.samples import Samples
-from casacal.simulation.cell import Cell, Disturbances, Face
+from casacal.simulation.cell import Cell, Disturbances, Face, rectangles
 from casacal.simulation.touches import Draw, label_names, plane_coordinates, random_tips, spot, stands
 from casacal.tables.columns import Labels
 from casacal.unknowns import Frame, Unknown
@@ -22,27 +22,33 @@ from casacal.unknowns import Frame, Unknown
 
 @dataclass(frozen=True)
 class Bench:
-    """A true instrument on a true arm: residuals of rows, and how they change with joints and readings."""
+    """A true instrument on a true arm: residuals of rows, and how they change with joints and readings.
+
+    z, c: true local coordinates (N, nz) and nominals that differ by label (N, nc), by row. known: columns known from
+    labels (N, k). faces: the face of each row (N,); none where nothing flat is touched. local: true local coordinates
+    by name, about where simulation puts the nominal. frames: transforms (4, 4; mm) by name of the frames that rows
+    propose, which stand elsewhere for whoever fits.
+    """
 
     problem: Problem
     evaluate: Batch
     z: Array
-    """True local coordinates by row (N, nz)."""
     c: Array
-    """Nominals that differ by label by row (N, nc)."""
     known: Array
-    """Columns known from labels by row (N, k)."""
     faces: tuple[Face, ...]
-    """The face of each row (N,); none where nothing flat is touched."""
     local: Mapping[str, Array]
-    """True local coordinates by name, about where simulation puts the nominal."""
     frames: Mapping[str, Array]
-    """Transforms (4, 4; mm) by name of the frames that rows propose, which stand elsewhere for whoever fits."""
 
     @property
     def read(self) -> int:
         """How many columns are read."""
         return len(self.problem.instrument.columns)
+
+    def before_reading(self, joints: Array) -> Array:
+        """Joints (N, n), and beside them the readings where their search begins."""
+        instrument = self.problem.instrument
+        readings = [instrument.begins_at.get(name, 0.0) for name in instrument.columns]
+        return np.hstack([joints, np.tile(readings, (len(joints), 1))])
 
     def residual(self, free: Array, rows: Index) -> tuple[Array, Array]:
         """Residuals (k, m) of some rows at joints and readings (k, n), and their slopes (k, m, n)."""
@@ -55,11 +61,9 @@ class Bench:
         if not self.faces:
             return np.zeros(len(rows))
         (tips,) = self.problem.model.batch.tip(self.z[rows], self.c[rows], np.hstack([free, self.known[rows]]))
-        axes, centres, sizes = (
-            np.array([getattr(self.faces[k], name) for k in rows]) for name in ("axes", "centre", "size")
-        )
+        axes, centres, half = rectangles([self.faces[k] for k in rows])
         along = np.abs(np.einsum("kx,kax->ka", tips - centres, axes[:, 1:]))
-        return np.asarray(np.linalg.norm(np.maximum(along - sizes / 2, 0.0), axis=1))
+        return np.asarray(np.linalg.norm(np.maximum(along - half, 0.0), axis=1))
 
 
 def _named(instrument: Instrument, key: str, label: str | None) -> str:
@@ -107,28 +111,17 @@ def bench_of(
     evaluate = Batch(ca.Function("bench", symbols, [e, ca.densify(ca.jacobian(e, symbols[2]))]))
     free = len(robot.axes) + len(instrument.columns)
     assert model.residual.numel_in(2) == free + len(known)
-    return Bench(
-        problem,
-        evaluate,
-        np.hstack(z),
-        np.hstack(c),
-        np.array(known, dtype=np.float64).T.reshape(samples, -1),
-        _faces(problem, cell, labels, samples),
-        local,
-        frames,
-    )
+    read = np.array(known, dtype=np.float64).T.reshape(samples, -1)
+    faces = _faces(problem, cell, labels, samples)
+    return Bench(problem, evaluate, np.hstack(z), np.hstack(c), read, faces, local, frames)
 
 
 def _faces(problem: Problem, cell: Disturbances, labels: Mapping[str, Labels], samples: int) -> tuple[Face, ...]:
     """The face of each row, where an unknown of the instrument is a plane and a cell says how large faces are."""
-    planes = [unknown for unknown in problem.instrument.unknowns.values() if _is_flat(unknown)]
-    if not isinstance(cell, Cell) or not planes:
+    plane = next((unknown for unknown in problem.instrument.unknowns.values() if _is_flat(unknown)), None)
+    if not isinstance(cell, Cell) or plane is None:
         return ()
-    column = planes[0].per
-    return tuple(
-        next((face for face in cell.faces if face.label == label), cell.faces[0])
-        for label in (labels[column] if column is not None else ("",) * samples)
-    )
+    return tuple(map(cell.face, ("",) * samples if plane.per is None else labels[plane.per]))
 
 
 def _is_flat(unknown: Unknown) -> bool:
@@ -182,20 +175,14 @@ def read_there(bench: Bench, standing: Array, target: Array) -> tuple[Array, Row
 
     Joints stay where readings can follow them; where there are none, the arm moves on until it meets the residual.
     """
-    instrument, rows = bench.problem.instrument, np.arange(len(target))
-    readings = [instrument.begins_at.get(name, 0.0) for name in instrument.columns]
-    start = np.hstack([standing, np.tile(readings, (len(standing), 1))])
+    start, rows = bench.before_reading(standing), np.arange(len(target))
     found, met = _met(bench, start, target, rows, held=bench.read >= target.shape[1])
     return found, met & _inside(bench, found)
 
 
 def _starts(bench: Bench, target: Array, rows: Index, rng: np.random.Generator) -> Array:
     """For each row the random posture, readings at zero, that comes nearest."""
-    robot = bench.problem.robot
-    tried = random_joints(robot, len(rows) * CANDIDATES, rng)
-    instrument = bench.problem.instrument
-    readings = [instrument.begins_at.get(name, 0.0) for name in instrument.columns]
-    free = np.hstack([tried, np.tile(readings, (len(tried), 1))])
+    free = bench.before_reading(random_joints(bench.problem.robot, len(rows) * CANDIDATES, rng))
     if bench.read:  # readings follow from any posture
         return free[::CANDIDATES]
     e, _ = bench.residual(free, np.repeat(rows, CANDIDATES))

@@ -89,10 +89,8 @@ def _waves(given: Mapping[int, float] | Sequence[tuple[int, float]]) -> tuple[tu
         if isinstance(order, bool) or not isinstance(order, (int, np.integer)) or order < 1:
             raise SimulationError(f"A gear wave has the order {order!r}", "Give a whole number from one on")
         if not 0 <= amplitude * order < STEEPEST:
-            raise SimulationError(
-                f"The gear wave of order {order} has the amplitude {amplitude:g}",
-                f"Give zero or a positive number of rad below {STEEPEST / order:g}",
-            )
+            fix = f"Give zero or a positive number of rad below {STEEPEST / order:g}"
+            raise SimulationError(f"The gear wave of order {order} has the amplitude {amplitude:g}", fix)
     return tuple((int(order), amplitude) for order, amplitude in waves)
 
 
@@ -190,6 +188,10 @@ class Cell(Disturbances, Surroundings):
             fix = f"Give {', '.join(map(repr, APPROACHES[:-1]))} or '{APPROACHES[-1]}'"
             raise SimulationError(f"The approach is {self.approach!r}", fix)
 
+    def face(self, label: str) -> Face:
+        """The face of a label, or the first where none is called so."""
+        return next((face for face in self.faces if face.label == label), self.faces[0])
+
 
 OF_FACES = tuple(field.name for field in fields(Cell)[len(fields(Disturbances)) :] if field.name != "faces")
 """What only a cell with faces can be asked for."""
@@ -240,6 +242,12 @@ def flatness_din_876(grade: str, length: float) -> float:
         raise SimulationError(f"There is no grade '{grade}'", f"Grades of DIN 876 are {', '.join(DIN_876)}")
     base, divisor = DIN_876[grade]
     return (base + length / divisor) / 1000
+
+
+def rectangles(faces: Sequence[Face]) -> tuple[Array, Array, Array]:
+    """Axes (N, 3, 3), centres (N, 3; mm) and half sides (N, 2; mm) of faces."""
+    axes, centres, sizes = (np.array([getattr(face, name) for face in faces]) for name in ("axes", "centre", "size"))
+    return axes, centres, sizes / 2
 
 
 def triple(values: Sequence[float] | Array) -> tuple[float, float, float]:
@@ -303,10 +311,8 @@ def _process(rng: np.random.Generator, reach: float) -> Callable[[Array], Array]
 
 def levels(cell: Cell, which: Index, uv: Array, seeds: Sequence[int | None], lift: Array) -> Array:
     """Heights n . x (N,; mm) of touches at places uv (N, 2; -1 to 1) of their faces, with form and lift."""
-    normals, centres = (
-        np.array(each)[which] for each in zip(*((f.axes[0], f.centre) for f in cell.faces), strict=True)
-    )
-    heights: Array = lift + (normals * centres).sum(axis=1)
+    axes, centres, _ = (each[which] for each in rectangles(cell.faces))
+    heights: Array = lift + (axes[:, 0] * centres).sum(axis=1)
     for i, seed in enumerate(seeds):
         if seed is not None:
             here = which == i

@@ -12,7 +12,7 @@ import numpy as np
 from casacal.array_types import Array, Index
 from casacal.errors import SimulationError
 from casacal.robots.robot import Robot
-from casacal.simulation.cell import Cell
+from casacal.simulation.cell import Cell, Disturbances
 from casacal.simulation.reach import TouchingArm
 
 TURN = 1.0  # what one turn of the pointer shows, mm
@@ -107,6 +107,12 @@ def weighed(touch: TouchingArm, joints: Array, readings: Array) -> float:
             "Leave it out: what bends there is the arm itself, which is not simulated",
         )
     return pull
+
+
+def gross_errors(cell: Disturbances, count: int, rng: np.random.Generator) -> Array:
+    """What gross rows add to their readings (N,), once to twice the size of an outlier; zero for the others."""
+    gross = rng.random(count) < cell.outliers
+    return np.asarray(gross * rng.choice([-1.0, 1.0], size=count) * cell.outlier_size * rng.uniform(1, 2, count))
 
 
 def last_moves(joints: Array) -> Array:

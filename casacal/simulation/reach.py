@@ -49,10 +49,8 @@ class TouchingArm:
         tip = traced(instrument.tip, "tip", kind, (3, 1), pose, p, row)
         axis = traced(instrument.plunger_direction, "plunger_direction", kind, (3, 1), pose, p, optional=True)
         if not axis.numel():
-            raise SimulationError(
-                f"{kind} touches faces and says no direction of its plunger",
-                "Override plunger_direction",
-            )
+            fix = "Override plunger_direction"
+            raise SimulationError(f"{kind} touches faces and says no direction of its plunger", fix)
         place, slopes = [tip, axis], [ca.jacobian(tip, q).T, ca.jacobian(axis, q).T]
 
         def batch(outputs: list[ca.SX]) -> Batch:
@@ -64,10 +62,8 @@ class TouchingArm:
         )
         tips, *_ = touch(random_joints(robot, 20, np.random.default_rng(0)), np.zeros(20))
         if not np.isfinite(tips).all(axis=1).any():
-            raise SimulationError(
-                f"The tip of '{robot.name}' is not finite in any posture",
-                "Let pose build on q and p with casadi.sin and the like: math and float() of them give no numbers",
-            )
+            fix = "Let pose build on q and p with casadi.sin and the like: math and float() of them give no numbers"
+            raise SimulationError(f"The tip of '{robot.name}' is not finite in any posture", fix)
         return touch
 
     def __call__(self, joints: Array, readings: Array) -> tuple[Array, Array, Array, Array]:

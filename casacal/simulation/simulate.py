@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -13,16 +14,16 @@ from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.errors import SamplesError, SimulationError, came
 from casacal.estimators import lm
 from casacal.instruments.description import Probe, readings_within
-from casacal.instruments.instrument import Instrument
 from casacal.least_squares.conditioned import Conditioned
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Layout, Measurements, Samples
 from casacal.simulation.bench import Bench, bench_of, found_rows, read_there
-from casacal.simulation.cell import OF_DIALS, Cell, Disturbances, Face, levels
+from casacal.simulation.cell import Cell, Disturbances, Face, levels, rectangles
 from casacal.simulation.faults import (
     ArmErrors,
     DialErrors,
     drawn_waves,
+    gross_errors,
     last_moves,
     rounded,
     unwaved,
@@ -33,16 +34,18 @@ from casacal.simulation.faults import (
 from casacal.simulation.reach import TouchingArm
 from casacal.simulation.touches import (
     EDGE,
+    MOST_ROUNDS,
+    ROUNDS,
     Draw,
     check_asked,
     default_cell,
-    find_touches,
     frame_coordinates,
     own_noise,
     plane_coordinates,
-    refuse_lost_steps,
+    refuse_cell,
     row_labels,
     true_unknowns,
+    try_touches,
 )
 from casacal.tables.columns import Labels
 from casacal.values import FrozenMapping, Value
@@ -50,23 +53,18 @@ from casacal.values import FrozenMapping, Value
 
 @dataclass(frozen=True)
 class SessionPlan:
-    """Which face and which place each row touches, and when; rows (N,), places (P,)."""
+    """Touches of a session (N,): the face and the place of each row, and the how manieth touch of its face it is."""
 
     which: Index
     place: Index
-    first: Index
-    """The row that touches a place first."""
     turn: Index
-    """The how manieth touch of its face a row is."""
-    when: Array
 
     @staticmethod
     def of(samples: int, faces: int, repeats: int) -> SessionPlan:
         """Faces in turn, each place so many times in a row."""
         rows = np.arange(samples)
         place = rows // repeats
-        turn = place // faces * repeats + rows % repeats
-        return SessionPlan(place % faces, place, rows[::repeats], turn, rows / max(samples - 1, 1))
+        return SessionPlan(place % faces, place, place // faces * repeats + rows % repeats)
 
     @staticmethod
     def at(postures: Samples, column: str | None, faces: Sequence[Face]) -> SessionPlan:
@@ -78,14 +76,24 @@ class SessionPlan:
                 f"{postures.file} touches '{lost}' (column '{column}'), which is no face of the cell",
                 f"Its faces are {', '.join(known)}",
             )
-        rows, which = np.arange(len(names)), np.array([known[name] for name in names], dtype=np.intp)
-        turn = np.array([(which[:k] == which[k]).sum() for k in rows])
-        return SessionPlan(which, rows, rows, turn, rows / max(len(rows) - 1, 1))
+        which = np.array([known[name] for name in names], dtype=np.intp)
+        turn = np.array([(which[:k] == which[k]).sum() for k in range(len(which))])
+        return SessionPlan(which, np.arange(len(which)), turn)
 
-    @property
+    @cached_property
     def again(self) -> Rows:
         """Rows (N,) that touch a place once more."""
         return np.asarray(np.diff(self.place, prepend=-1) == 0)
+
+    @cached_property
+    def first(self) -> Index:
+        """The row that touches each place first (P,)."""
+        return np.flatnonzero(~self.again)
+
+    @cached_property
+    def when(self) -> Array:
+        """Places (N,) of the rows in the session, 0 to 1."""
+        return np.arange(len(self.which)) / max(len(self.which) - 1, 1)
 
 
 FIRST = "first"  # what a simulated session is called, as are other labels that are no faces
@@ -108,10 +116,26 @@ class _Contact:
     growth: Array
 
     def found(self, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Joints (P, n) and readings (P,) of the first touch of each place."""
-        plan, first = self.plan, self.plan.first
-        lift, growth = self.lift[first], self.growth[first]
-        return find_touches(self.touch, self.probe, self.cell, plan.which[first], lift, rng, self.forms, growth)
+        """Joints (P, n) and true readings (P,) of the first touch of each place."""
+        touch, cell, first = self.touch, self.cell, self.plan.first
+        which, lift, growth = self.plan.which[first], self.lift[first], self.growth[first]
+        joints, readings = np.full((len(which), len(touch.robot.axes)), np.nan), np.full(len(which), np.nan)
+        waiting = np.arange(len(which))
+        for tried in range(MOST_ROUNDS):
+            if tried >= ROUNDS and 2 * len(waiting) > len(which):
+                break
+            found = try_touches(touch, self.probe, cell, which, lift, self.forms, rng, waiting, growth)
+            good = found[2]
+            joints[waiting[good]], readings[waiting[good]] = found[0][good], found[1][good]
+            waiting = waiting[~good]
+            if not waiting.size:
+                return joints, readings
+        label = cell.faces[int(which[waiting[0]])].label
+        raise SimulationError(
+            f"'{touch.robot.name}' cannot touch face '{label}' within joint limits, tilt {math.degrees(cell.tilt):g} "
+            f"degrees and the dial's travel ({len(waiting)} of {len(which)} samples are missing)",
+            "Move or enlarge the face, or allow more tilt",
+        )
 
     def there(self, standing: Array, readings: Array) -> tuple[Array, Array, Rows]:
         """What is added to given joints until the tip touches (N, n), where the plunger stands (N,), and which touch.
@@ -119,12 +143,9 @@ class _Contact:
         standing: joints (N, n) as they truly stand. readings: expected ones (N,); where the dial would be near an end
         of its travel, the arm is moved until it reads about that, as operators do. Faces reach as far as anybody asks.
         """
-        axes, centres, half = (
-            np.array([getattr(face, name) for face in self.cell.faces])[self.plan.which]
-            for name in ("axes", "centre", "size")
-        )
+        axes, centres, half = (each[self.plan.which] for each in rectangles(self.cell.faces))
         tips, _ = self.touch.place(self.touch.local, standing, readings[:, None])
-        uv = np.clip(2 * np.einsum("kx,kax->ka", tips - centres, axes[:, 1:]) / half, -1, 1)
+        uv = np.clip(np.einsum("kx,kax->ka", tips - centres, axes[:, 1:]) / half, -1, 1)
         normals, heights = axes[:, 0], levels(self.cell, self.plan.which, uv, self.forms, self.lift) / self.growth
         moved, ways_in = self._met(standing, readings, normals, heights)
         low, high = readings_within(self.probe.travel if self.cell.travel is None else self.cell.travel)
@@ -161,16 +182,15 @@ class _Contact:
 
 
 def touched_rows(
-    problem: Problem, instrument: Instrument, probe: Probe, cell: Cell, samples: int | Samples, draw: Draw
+    problem: Problem, probe: Probe, cell: Cell, samples: int | Samples, draw: Draw
 ) -> tuple[Samples, dict[str, Array], ArmErrors, DialErrors]:
     """Samples of touches, the true local coordinates by name, and the errors of arm and dial that were drawn.
 
     samples: how many, or the postures in which to touch; those in which the true arm cannot are left out.
     """
-    _refuse(cell, probe)
     truth_rng, pose_rng, noise_rng, form_rng, gear_rng, dial_rng, way_rng = draw.streams(7, of_the_arm=(0, 3, 4))
     local = draw.true(true_unknowns(problem, probe, cell.error_scale, truth_rng))
-    touch = TouchingArm.of(problem.robot, instrument, probe, local)
+    touch = TouchingArm.of(problem.robot, problem.instrument, probe, local)
     given = samples if isinstance(samples, Samples) else None
     if isinstance(samples, Samples):
         cell, plan = replace(cell, repeats=1), SessionPlan.at(samples, probe.label, cell.faces)
@@ -178,8 +198,7 @@ def touched_rows(
         plan = SessionPlan.of(samples, len(cell.faces), cell.repeats)
     count = len(plan.which)
     noise = probe.noise_std if cell.repeatability is None else cell.repeatability
-    gross = noise_rng.random(count) < cell.outliers
-    outlier = gross * noise_rng.choice([-1.0, 1.0], size=count) * cell.outlier_size * noise_rng.uniform(1, 2, count)
+    outlier = gross_errors(cell, count, noise_rng)
     # errors of touch and form raise the face under the tip; a dial's own errors come on top of its reading
     lift = noise_rng.normal(size=count) * (noise if probe.column is None else probe.contact_std)
     if probe.column is None:
@@ -226,20 +245,6 @@ def _labels(problem: Problem, probe: Probe, cell: Cell, plan: SessionPlan) -> di
     return labels
 
 
-def _refuse(cell: Cell, probe: Probe) -> None:
-    """Raise SimulationError for a cell that this plunger cannot measure in."""
-    if len(cell.faces) > 1 and probe.label is None:
-        raise SimulationError(
-            f"The cell has {len(cell.faces)} faces and the problem one plane", 'Declare plane=Plane(per="plane")'
-        )
-    asked = [name for name in OF_DIALS if getattr(cell, name) > 0]
-    if asked and probe.column is None:
-        raise SimulationError(
-            f"The cell has a {asked[0]}, and the problem touches without a dial",
-            "Leave it out, or declare reading=True",
-        )
-
-
 def fitting_rows(
     problem: Problem, cell: Disturbances, samples: int | Samples, draw: Draw
 ) -> tuple[Samples, Bench, ArmErrors]:
@@ -254,8 +259,7 @@ def fitting_rows(
     labels = row_labels(problem, cell, count) if given is None else dict(given.labels)
     bench = bench_of(problem, cell, labels, truth_rng, count, draw)
     instrument, n = problem.instrument, len(problem.robot.axes)
-    gross = noise_rng.random(count) < cell.outliers
-    outlier = gross * noise_rng.choice([-1.0, 1.0], size=count) * cell.outlier_size * noise_rng.uniform(1, 2, count)
+    outlier = gross_errors(cell, count, noise_rng)
     own = own_noise(problem) if cell.repeatability is None else cell.repeatability
     target = noise_rng.normal(size=(count, problem.model.components)) * own + outlier[:, None]
     scatter = noise_rng.normal(size=(count, n)) * cell.joint_std
@@ -290,22 +294,23 @@ MOST_SAMPLES = 1_000_000  # rows beyond which drawing postures takes hours
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Simulation(Value):
-    """Samples, and the truth they came from: local coordinates of the unknowns by name, and what disturbed them."""
+    """Samples, and the truth that they came from.
+
+    measured: samples of every instrument. local: local coordinates of the unknowns, by name. cell: what disturbed them.
+    arm_errors, dial_errors: what moves the tip beside the geometry, and what the dial gets wrong beside what the
+    problem declares, as they were drawn. frames: true transforms (4, 4; mm) by name of the frames that rows propose.
+    parts: the same arm with each of several instruments.
+    """
 
     problem: Problem
     measured: Measurements
-    """Samples of every instrument."""
     local: Mapping[str, Array]
     cell: Disturbances
     seed: int
     arm_errors: ArmErrors = ArmErrors()
-    """What moves the tip beside the geometry, as it was drawn."""
     dial_errors: DialErrors = DialErrors()
-    """What the dial gets wrong beside what the problem declares, as it was drawn."""
     frames: Mapping[str, Array] = field(default_factory=dict)
-    """True transforms (4, 4; mm) by name of the frames that rows propose."""
     parts: tuple[Simulation, ...] = ()
-    """The same arm with each of several instruments."""
 
     def __repr__(self) -> str:
         return f"<Simulation of {self.problem.robot.name}, seed {self.seed}: {self.measured.plain!r}>"
@@ -365,9 +370,8 @@ class Simulation(Value):
         problem, probe = self.problem, self.problem.instrument.probe
         q = np.asarray(joints, dtype=np.float64)
         if q.ndim != 2 or q.shape[1] != len(problem.robot.axes):
-            raise SimulationError(
-                f"Joint values came in the shape {q.shape}", f"Give (N, {len(problem.robot.axes)}) of them"
-            )
+            fix = f"Give (N, {len(problem.robot.axes)}) of them"
+            raise SimulationError(f"Joint values came in the shape {q.shape}", fix)
         if probe is None:
             if readings is not None:
                 raise SimulationError(f"{type(problem.instrument).__name__} has no plunger", "Leave the readings out")
@@ -395,8 +399,8 @@ def simulate_one(problem: Problem, cell: Disturbances | None, samples: int | Sam
             f"{type(instrument).__name__} touches faces, and the disturbances that came have none",
             "Give a Cell(faces=...)",
         )
-    refuse_lost_steps(problem, instrument.probe, cell)
-    rows, local, arm, dial = touched_rows(problem, instrument, instrument.probe, cell, samples, draw)
+    refuse_cell(problem, instrument.probe, cell)
+    rows, local, arm, dial = touched_rows(problem, instrument.probe, cell, samples, draw)
     return Simulation(problem, Measurements.of(rows), FrozenMapping(local), cell, draw.seed, arm, dial)
 
 
@@ -408,14 +412,15 @@ def simulate_several(
     Those that touch faces touch those of the cell. Raises SimulationError as `simulate` does, and for what only those
     that touch can be asked.
     """
-    local: dict[str, Array] = {}
-    frames: dict[str, Array] = {}
-    parts: list[Simulation] = []
+    local, frames, parts = dict[str, Array](), dict[str, Array](), list[Simulation]()
     for i, name in enumerate(problem.names):
         alone = problem.measured_by(name)
         names = {key: key for key in problem.robot.parameters} | dict(problem.full_names[i])
         known = {key: local[full] for key, full in names.items() if full in local}
-        own = cell if alone.instrument.probe is not None else _elsewhere(alone, cell)
+        own = cell
+        if isinstance(cell, Cell) and alone.instrument.probe is None:  # such as a tracker in the cell of a dial
+            check_asked(alone, cell)
+            own = Disturbances(**{field.name: getattr(cell, field.name) for field in fields(Disturbances)})
         occasion = i + len(problem.names) * session
         part = simulate_one(alone, own, counts[name], Draw(seed, occasion, FrozenMapping(known)))
         parts.append(part)
@@ -427,14 +432,6 @@ def simulate_several(
     touched = next((part.cell for part in parts if isinstance(part.cell, Cell)), parts[0].cell)
     together, true = Measurements(problem.names, sets), FrozenMapping(frames)
     return Simulation(problem, together, FrozenMapping(local), touched, seed, frames=true, parts=tuple(parts))
-
-
-def _elsewhere(alone: Problem, cell: Disturbances | None) -> Disturbances | None:
-    """What disturbs an instrument that touches no faces, in the cell of those that do."""
-    if not isinstance(cell, Cell):
-        return cell
-    check_asked(alone, cell)
-    return Disturbances(**{field.name: getattr(cell, field.name) for field in fields(Disturbances)})
 
 
 def simulate(
@@ -468,18 +465,15 @@ def simulate(
         if not isinstance(number, (int, np.integer)) or number < 0:
             raise SimulationError(f"The {name} is {number!r}", "Give a whole number from zero on")
     if not isinstance(problem, Problem):
-        raise SimulationError(
-            f"Got {came(problem)} as the problem", "Give a Problem; load_problem(path).problem is one"
-        )
+        fix = "Give a Problem; load_problem(path).problem is one"
+        raise SimulationError(f"Got {came(problem)} as the problem", fix)
     if cell is not None and not isinstance(cell, Disturbances):
         raise SimulationError(f"Got {came(cell)} as the cell", "Give a Cell(faces=...), or Disturbances(...)")
     if isinstance(samples, Samples):
         found = simulate_one(problem, cell, _postures_of(problem, samples), Draw(int(seed), int(session)))
         if not len(found.samples):
-            raise SimulationError(
-                f"In none of the {len(samples)} postures can the true arm measure",
-                "Plan them for this problem and cell",
-            )
+            fix = "Plan them for this problem and cell"
+            raise SimulationError(f"In none of the {len(samples)} postures can the true arm measure", fix)
         return found
     if isinstance(samples, Mapping):
         for name in samples:

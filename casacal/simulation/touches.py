@@ -16,7 +16,7 @@ from casacal.kinematics import stacked_poses
 from casacal.problem.problem import Problem
 from casacal.robots.links import above_table
 from casacal.robots.robot import random_joints
-from casacal.simulation.cell import OF_TOUCHES, Cell, Disturbances, Face, corner, levels, triple
+from casacal.simulation.cell import OF_DIALS, OF_TOUCHES, Cell, Disturbances, Face, corner, levels, rectangles, triple
 from casacal.simulation.reach import TouchingArm
 from casacal.tables.columns import Labels
 from casacal.unknowns import Unknown
@@ -30,9 +30,8 @@ def own_noise(problem: Problem) -> Array | float:
     """Standard deviation of each component of the residual by itself."""
     instrument = problem.instrument
     if said := next((block.name for block in instrument.blocks if isinstance(block.std, str)), ""):
-        raise SimulationError(
-            f"The noise of '{said}' comes from a column, which simulated rows do not have", "Declare it as a number"
-        )
+        fix = "Declare it as a number"
+        raise SimulationError(f"The noise of '{said}' comes from a column, which simulated rows do not have", fix)
     stds = [float(block.std) for block in instrument.blocks for _ in range(block.size)]
     return np.array(stds) if stds else instrument.residual_std
 
@@ -138,39 +137,6 @@ ROUNDS, MOST_ROUNDS = 60, 600
 """Fresh targets tried for a touch before the face counts as out of reach; and where most of the touches were found."""
 
 
-def find_touches(
-    touch: TouchingArm,
-    probe: Probe,
-    cell: Cell,
-    which: Index,
-    lift: Array,
-    rng: np.random.Generator,
-    seeds: Sequence[int | None],
-    growth: Array,
-) -> tuple[Array, Array]:
-    """Joint values (N, n) at which the tip truly touches, and the true readings (N,).
-
-    lift: by how much each touch stands above its face, mm. seeds: of the form of each face. growth: times (N,) that the
-    tip is further from the base.
-    """
-    joints, readings = np.full((len(which), len(touch.robot.axes)), np.nan), np.full(len(which), np.nan)
-    waiting = np.arange(len(which))
-    for tried in range(MOST_ROUNDS):
-        if tried >= ROUNDS and 2 * len(waiting) > len(which):
-            break
-        found_joints, found_readings, good = try_touches(touch, probe, cell, which, lift, seeds, rng, waiting, growth)
-        joints[waiting[good]], readings[waiting[good]] = found_joints[good], found_readings[good]
-        waiting = waiting[~good]
-        if not waiting.size:
-            return joints, readings
-    label = cell.faces[int(which[waiting[0]])].label
-    raise SimulationError(
-        f"'{touch.robot.name}' cannot touch face '{label}' within joint limits, tilt {math.degrees(cell.tilt):g} "
-        f"degrees and the dial's travel ({len(waiting)} of {len(which)} samples are missing)",
-        "Move or enlarge the face, or allow more tilt",
-    )
-
-
 def try_touches(
     touch: TouchingArm,
     probe: Probe,
@@ -191,14 +157,16 @@ def try_touches(
     """
     count = len(which)
     waiting = np.arange(count) if waiting is None else waiting
-    axes = np.array([face.axes for face in cell.faces])[which]
-    centres = np.array([face.centre for face in cell.faces])[which]
-    half = np.array([face.size for face in cell.faces])[which] / 2
+    axes, centres, half = (each[which] for each in rectangles(cell.faces))
     low, high = readings_within(probe.travel if cell.travel is None else cell.travel)
     readings = low + rng.uniform(EDGE, 1 - EDGE, count) * (high - low) if probe.column is not None else np.zeros(count)
     uv = rng.uniform(-1, 1, size=(count, 2))
     targets = centres + np.einsum("ka,kax->kx", uv * half, axes[:, 1:])
-    directions = _tilted(axes, cell.tilt, rng)
+    # directions into the faces, uniform over the cone of half-angle `tilt`
+    cosine = rng.uniform(math.cos(cell.tilt), 1.0, count)
+    sine, azimuth = np.sqrt(1 - cosine**2), rng.uniform(0, 2 * math.pi, count)
+    parts = np.column_stack([-cosine, sine * np.cos(azimuth), sine * np.sin(azimuth)])
+    directions = np.einsum("ka,kax->kx", parts, axes)
     poses = random_joints(touch.robot, count * starts, rng).reshape(count, starts, -1)
     which, grown = which[waiting], (np.ones(count) if growth is None else growth)[waiting]
     lift, readings, uv, axes, centres, half, targets, directions, poses = (
@@ -217,14 +185,6 @@ def try_touches(
     return np.where(np.abs(turned - joints) > 1.0, turned, joints), readings, good
 
 
-def _tilted(axes: Array, tilt: float, rng: np.random.Generator) -> Array:
-    """Directions (N, 3) into the faces, uniform over the cone of half-angle `tilt`."""
-    cosine = rng.uniform(math.cos(tilt), 1.0, len(axes))
-    sine, azimuth = np.sqrt(1 - cosine**2), rng.uniform(0, 2 * math.pi, len(axes))
-    parts = np.column_stack([-cosine, sine * np.cos(azimuth), sine * np.sin(azimuth)])
-    return np.asarray(np.einsum("ka,kax->kx", parts, axes))
-
-
 SLOPE = math.radians(15.0)  # inclination of facets against the plunger of an arm that cannot tilt it
 GRAZING = math.radians(75.0)  # tilt at which a tip without a dial still touches
 LEVEL = 0.1  # square of the sine of a plane's slope below which it lies, and its place is not moved along it
@@ -232,10 +192,11 @@ PLATE = 20.0  # mm; how thick a plate is that lies on the table
 ENOUGH = 0.1  # part of the touches of the worst face that must succeed
 
 
-def refuse_lost_steps(problem: Problem, probe: Probe, cell: Cell) -> None:
-    """Raise SimulationError for a step that stands on no face of a cell, or is none of the faces that somebody named.
+def refuse_cell(problem: Problem, probe: Probe, cell: Cell) -> None:
+    """Raise SimulationError for a cell that this plunger cannot measure in.
 
-    The faces of `default_cell` are nobody's, and have no steps.
+    A step stands on a face of the cell, and is itself one of the faces that somebody named; those of `default_cell` are
+    nobody's, and have no steps.
     """
     labels = [face.label for face in cell.faces]
     for step in probe.steps:
@@ -245,6 +206,13 @@ def refuse_lost_steps(problem: Problem, probe: Probe, cell: Cell) -> None:
             raise SimulationError(f"Step '{step}' is on '{on}', which is no face of the cell", fix)
         if step not in labels and tuple(cell.faces) != tuple(default_cell(problem).faces):
             raise SimulationError(f"Step '{step}' is no face of the cell", fix)
+    if len(labels) > 1 and probe.label is None:
+        fix = 'Declare plane=Plane(per="plane")'
+        raise SimulationError(f"The cell has {len(labels)} faces and the problem one plane", fix)
+    asked = next((name for name in OF_DIALS if getattr(cell, name) > 0), None)
+    if asked and probe.column is None:
+        fix = "Leave it out, or declare reading=True"
+        raise SimulationError(f"The cell has a {asked}, and the problem touches without a dial", fix)
 
 
 def default_cell(problem: Problem, *, table: float = 0.0) -> Cell:
@@ -355,7 +323,7 @@ def spot(reached: Array, k: int | None) -> Array:
 def stands(cell: Disturbances, label: str, place: Array) -> tuple[Array, Array]:
     """Where a thing stands of which nobody says where: on the face of that name, or at some place in the workspace."""
     if isinstance(cell, Cell):
-        face = next((face for face in cell.faces if face.label == label), cell.faces[0])
+        face = cell.face(label)
         return np.asarray(face.centre), face.axes[0]
     return place, np.array([0.0, 0.0, 1.0])
 

@@ -42,7 +42,9 @@ class SimulatedTrial:
         field = without_rigid((problem.tips(x, joints) - true).ravel(), true)
         lengths = np.linalg.norm(field.reshape(-1, 3), axis=1)
         stds = tip_stds(result.covariance, without_rigid(problem.tip_jacobian(x, joints), true)).ravel()
-        heldout = residual_figures(self.heldout.plain_residual(x))
+        heldout, arm = residual_figures(self.heldout.plain_residual(x)), ~problem.datum
+        own = result.covariance[np.ix_(arm, arm)]
+        bounded = bool(np.isfinite(own).all())
         return {
             "cost": problem.cost(x),
             "fit_rmse_mm": residual_figures(problem.plain_residual(x))["rmse_mm"],
@@ -51,7 +53,7 @@ class SimulatedTrial:
             "tip_p95_mm": float(np.quantile(lengths, 0.95)),
             "tip_max_mm": float(lengths.max()),
             "bound_mm": bound,
-            "nees": self._nees(result),
+            "nees": nees((x - self.truth)[arm], own) / int(arm.sum()) if bounded else float("nan"),
             "coverage": float(np.mean(np.abs(field) < Z95 * stds)),
         }
 
@@ -77,13 +79,6 @@ class SimulatedTrial:
         joints = workspace_joints(problem.problem.robot)
         true, slopes = problem.tips(self.truth, joints), problem.tip_jacobian(self.truth, joints)
         return joints, true, bayesian_bound(problem.information(self.truth), problem.prior_information, slopes, true)
-
-    def _nees(self, result: Result) -> float:
-        arm = ~self.problem.datum
-        covariance = result.covariance[np.ix_(arm, arm)]
-        if not np.isfinite(covariance).all():
-            return float("nan")
-        return nees((result.x - self.truth)[arm], covariance) / int(arm.sum())
 
 
 @dataclass(frozen=True)

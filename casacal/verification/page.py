@@ -81,8 +81,22 @@ def errors_picture(errors: Sequence[PartError], decision: Decision | None) -> Ma
     """Error before and after: two intervals for each part, what was promised, and the tolerance, logarithmically."""
     parts = errors[:MOST]
     height = TOP + BOTTOM + EACH * len(parts)
-    panel = Panel(_span(errors, decision), (0.0, 1.0), height, left=24.0, right=24.0, top=TOP, bottom=BOTTOM)
-    drawn = [_axis(panel)]
+    each = [error for part in errors for error in (part.before, part.after)]
+    values = [value for error in each for value in (error.mm, error.low_mm, error.high_mm)]
+    values += [part.promised_mm for part in errors]
+    values += [] if decision is None else [decision.tolerance_mm]
+    shown = [value for value in values if 0 < value < math.inf] or [1.0]
+    high = math.ceil(math.log10(max(shown)) + 1e-9)
+    low = min(max(math.floor(math.log10(min(shown)) - 1e-9), high - DECADES), high - 1)
+    panel = Panel((float(low), float(high)), (0.0, 1.0), height, left=24.0, right=24.0, top=TOP, bottom=BOTTOM)
+    axis, foot = [], height - BOTTOM
+    for power in range(low, high + 1):
+        x = number(float(panel.across(power)))
+        axis.append(tag("path", at={"d": f"M{x} {number(TOP)}V{number(foot)}", "class": "grid"}))
+        axis.append(tag("text", f"{10.0**power:g}", at={"x": x, "y": number(foot + 18), "class": "middle"}))
+    axis.append(tag("text", "error, mm RMS", at={"x": "200", "y": number(height - 6), "class": "middle title"}))
+    axis.append(tag("text", "Before and after, with intervals of 95 %", at={"x": "4", "y": "14", "class": "title"}))
+    drawn = [tag("g", *axis)]
     for k, part in enumerate(parts):
         y = TOP + EACH * k
         label = shortened(f"{NAMES[part.kind]}{part.label} ({part.rows:,})", 52)
@@ -91,7 +105,7 @@ def errors_picture(errors: Sequence[PartError], decision: Decision | None) -> Ma
         if part.promised_mm > 0 and math.isfinite(part.promised_mm):
             drawn.append(_upright(panel, part.promised_mm, y + 25, y + 35, INK))
     if decision is not None:
-        drawn.append(_upright(panel, decision.tolerance_mm, TOP, height - BOTTOM, ORANGE))
+        drawn.append(_upright(panel, decision.tolerance_mm, TOP, foot, ORANGE))
     says = "; ".join(f"{part.label}: {part.before.mm:.4f} before, {part.after.mm:.4f} after" for part in parts)
     more = "" if len(errors) <= MOST else f" {len(errors) - MOST} more stand in the table."
     tolerance = "" if decision is None else " The orange line is the tolerance."
@@ -100,29 +114,6 @@ def errors_picture(errors: Sequence[PartError], decision: Decision | None) -> Ma
         f"left edge reaches zero. Dark strokes are what the calibration promised.{tolerance}{more}",
         picture("errors-picture", "Error before and after, with intervals", f"In mm: {says}.", height, *drawn),
     )
-
-
-def _span(errors: Sequence[PartError], decision: Decision | None) -> tuple[float, float]:
-    """Powers of ten between which all lie that can be shown."""
-    each = [error for part in errors for error in (part.before, part.after)]
-    values = [value for error in each for value in (error.mm, error.low_mm, error.high_mm)]
-    values += [part.promised_mm for part in errors]
-    values += [] if decision is None else [decision.tolerance_mm]
-    shown = [value for value in values if 0 < value < math.inf] or [1.0]
-    high = math.ceil(math.log10(max(shown)) + 1e-9)
-    low = max(math.floor(math.log10(min(shown)) - 1e-9), high - DECADES)
-    return float(min(low, high - 1)), float(high)
-
-
-def _axis(panel: Panel) -> Markup:
-    foot, parts = panel.height - panel.bottom, []
-    for power in range(round(panel.x[0]), round(panel.x[1]) + 1):
-        x = number(float(panel.across(power)))
-        parts.append(tag("path", at={"d": f"M{x} {number(panel.top)}V{number(foot)}", "class": "grid"}))
-        parts.append(tag("text", f"{10.0**power:g}", at={"x": x, "y": number(foot + 18), "class": "middle"}))
-    parts.append(tag("text", "error, mm RMS", at={"x": "200", "y": number(panel.height - 6), "class": "middle title"}))
-    parts.append(tag("text", "Before and after, with intervals of 95 %", at={"x": "4", "y": "14", "class": "title"}))
-    return tag("g", *parts)
 
 
 def _place(panel: Panel, value: float) -> str:

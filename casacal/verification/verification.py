@@ -200,6 +200,14 @@ def _told(found: Verification, *, whole: bool = True) -> list[str]:
         *(_face(found, face) for face in found.faces[:SHOWN]),
         *([f"{len(found.faces) - SHOWN} more faces with --json."] if len(found.faces) > SHOWN else []),
     ]
+    gross = []
+    if found.gross_lines:
+        fit, without = ("does not fit", "it") if len(found.gross_lines) == 1 else ("do not fit", "them")
+        kept = "is kept" if found.kept_without_gross else "is not kept either"
+        gross = [
+            f"{capital(numbered_lines(found.gross_lines))} of {found.judged.samples} {fit} the other rows: measure "
+            f"{without} again. Without {without} the promise {kept}."
+        ]
     return [
         _answer(found),
         *found.judged.own_verdict,
@@ -211,7 +219,7 @@ def _told(found: Verification, *, whole: bool = True) -> list[str]:
         f"{what}: {in_two(found.after_mm)} {found.unit} RMS as calibrated, {in_two(found.predicted_mm)} predicted, "
         f"{in_two(found.before_mm)} as drawn; 95 % of the rows are within {in_two(found.quantile_mm)}.",
         *(statistics if whole else []),
-        *_gross(found),
+        *gross,
         *(_errors(found) if whole else _errors(found)[:1]),
         *_decision(found),
         _vouches(found),
@@ -238,18 +246,6 @@ def _face(found: Verification, face: FaceVerification) -> str:
         f"{in_two(face.predicted_mm)} predicted (as drawn: {in_two(face.before_mm)}); chi-square "
         f"{face.chi_square:.3g} / {face.freedom}, {chance(face.p)}"
     )
-
-
-def _gross(found: Verification) -> list[str]:
-    lines = found.gross_lines
-    if not lines:
-        return []
-    fit, without = ("does not fit", "it") if len(lines) == 1 else ("do not fit", "them")
-    kept = "is kept" if found.kept_without_gross else "is not kept either"
-    return [
-        f"{capital(numbered_lines(lines))} of {found.judged.samples} {fit} the other rows: measure {without} again. "
-        f"Without {without} the promise {kept}."
-    ]
 
 
 def _errors(found: Verification) -> list[str]:
@@ -297,7 +293,23 @@ def _decision(found: Verification) -> list[str]:
     decision = found.decision
     if decision is None:
         return []
-    said = [f"{_verdict(found, decision)} {_limits(decision)}{_reserves(found, decision)}"]
+    hidden = "" if decision.measured_mm > 0 else " (the residuals are no larger than the noise)"
+    size = f"{decision.measured_mm:.3g} mm RMS{hidden}"
+    what = f"{size}, {found.measurand}, against a tolerance of {decision.tolerance_mm:g} mm"
+    verdict, reserves = f"{VERDICTS[decision.verdict]}: {what}.", ""
+    if decision.verdict == "accept":
+        if found.denied or not found.kept:
+            why = "the result must not be used" if found.kept else "the promise was not kept"
+            verdict = f"Tolerance: {what}. That alone would be accepted, but {why}."
+        if decision.rests_on_noise:
+            noise = f"{found.noise_mm:.3g} mm"
+            reserves += f" Acceptance depends on the noise of {noise}: without it the arm would not be accepted."
+        if not found.accuracy:
+            reserves += f" This decides on what these {found.things} see, not on the position of the tip."
+        if found.overall is not None and found.overall.before.high_mm < decision.tolerance_mm:
+            drawn = f"{found.overall.before.mm:.3g} mm"
+            reserves += f" The arm as drawn ({drawn}) would be accepted as well. Is the tolerance in mm?"
+    said = [f"{verdict} {_limits(decision)}{reserves}"]
     if decision.verdict == "undecided" and decision.hangs_on_gross:
         said.append("The decision depends on the rows named above: measure them again.")
     elif decision.verdict == "undecided" and decision.further_rows is None:
@@ -310,16 +322,6 @@ def _decision(found: Verification) -> list[str]:
             "five, if the error is as measured here."
         )
     return said
-
-
-def _verdict(found: Verification, decision: Decision) -> str:
-    hidden = "" if decision.measured_mm > 0 else " (the residuals are no larger than the noise)"
-    size = f"{decision.measured_mm:.3g} mm RMS{hidden}"
-    what = f"{size}, {found.measurand}, against a tolerance of {decision.tolerance_mm:g} mm"
-    if decision.verdict == "accept" and not (found.kept and not found.denied):
-        why = "the result must not be used" if found.kept else "the promise was not kept"
-        return f"Tolerance: {what}. That alone would be accepted, but {why}."
-    return f"{VERDICTS[decision.verdict]}: {what}."
 
 
 def _limits(decision: Decision) -> str:
@@ -337,20 +339,6 @@ def _limits(decision: Decision) -> str:
         "An arm exactly at the tolerance is wrongly accepted, or wrongly rejected, with a chance of about "
         f"{100 * decision.risk:g} % at most (JCGM 106:2012, guarded)."
     )
-
-
-def _reserves(found: Verification, decision: Decision) -> str:
-    """What acceptance rests on, and what it does not speak of."""
-    if decision.verdict != "accept":
-        return ""
-    said, part = "", found.overall
-    if decision.rests_on_noise:
-        said = f" Acceptance depends on the noise of {found.noise_mm:.3g} mm: without it the arm would not be accepted."
-    if not found.accuracy:
-        said += f" This decides on what these {found.things} see, not on the position of the tip."
-    if part is not None and part.before.high_mm < decision.tolerance_mm:
-        said += f" The arm as drawn ({part.before.mm:.3g} mm) would be accepted as well. Is the tolerance in mm?"
-    return said
 
 
 def _vouches(found: Verification) -> str:
