@@ -143,10 +143,9 @@ class Task:
 
     def without(self, done: Iterable[Key]) -> Task:
         """The task without the methods that are recorded already."""
-        kept = [i for i, key in enumerate(self.keys) if key not in set(done)]
-        return replace(
-            self, methods=tuple(self.methods[i] for i in kept), fingerprints=tuple(self.fingerprints[i] for i in kept)
-        )
+        recorded, pairs = set(done), zip(self.methods, self.fingerprints, strict=True)
+        kept = [(method, key) for method, key in pairs if (key, self.trial) not in recorded]
+        return replace(self, methods=tuple(m for m, _ in kept), fingerprints=tuple(key for _, key in kept))
 
 
 @contextlib.contextmanager
