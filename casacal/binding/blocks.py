@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array, Index
-from casacal.binding.nominal import proposed_by, row_columns, told_sizes
+from casacal.binding.nominal import proposed_by, row_columns
 from casacal.binding.slots import Slot, nominals
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument
@@ -121,9 +121,13 @@ def make_block(
     elsewhere, site = dict.fromkeys(model.names, 0.0), problem.symbols_of(i).site
     for term in model.terms:
         elsewhere |= term.away(site)
+    usual = dict(elsewhere)
+    for term in model.terms:
+        told = term.told(site, survey.samples) if term.further and survey is not None else {}
+        usual |= {name: float(np.sqrt((values**2).mean())) for name, values in told.items()}
     noise, away = np.empty((len(samples), model.components)), np.array(list(elsewhere.values()))
-    usual = np.array(list((elsewhere | told_sizes(model.terms, site, survey)).values()))
-    block = Block(model, samples, row_slots, pattern, columns, constants, tuple(beside.values()), away, usual, noise)
+    usually, columns_of_d = np.array(list(usual.values())), tuple(beside.values())
+    block = Block(model, samples, row_slots, pattern, columns, constants, columns_of_d, away, usually, noise)
     noise[:] = block.at_nominal(model.columns.noise)
     for bad in np.flatnonzero(~((noise > 1 / LARGEST) & (noise < LARGEST)).all(axis=1))[:1]:
         raise ProblemError(

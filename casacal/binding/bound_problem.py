@@ -84,13 +84,12 @@ def _refuse_absurd(samples: Samples) -> None:
 def _refuse_kinks(bound: BoundProblem) -> None:
     """Raise ProblemError for the first row with a residual at the nominal but no derivative, as of a norm at zero."""
     smooth = np.isfinite(bound.jacobian(bound.x0)).all(axis=1)
-    for row in np.flatnonzero(~smooth & np.isfinite(bound.residual(bound.x0))):
-        i = int(np.searchsorted(bound.starts, row, side="right")) - 1
-        samples, before = bound.samples[i], sum(map(len, bound.samples[:i]))
-        line = samples.lines[int(bound.sample_of[row]) - before]
+    for row in np.flatnonzero(~smooth & np.isfinite(bound.residual(bound.x0))).tolist():
+        name, (block, sample, _) = type(bound.problem.instruments[bound._instrument(row)]).__name__, bound._locate(row)
+        where = f"{block.samples.file}, line {block.samples.lines[sample]}"
         raise ProblemError(
-            f"{samples.file}, line {line}: the residual of {type(bound.problem.instruments[i]).__name__} has no finite "
-            "derivative in this row, as a norm has none at zero, nor acos at one",
+            f"{where}: the residual of {name} has no finite derivative in this row, as a norm has none at zero, "
+            "nor acos at one",
             "Write it smoothly, such as sqrt(sumsqr(v) + 1e-6) for norm_2(v) or atan2 for acos; or leave the row out",
         )
 

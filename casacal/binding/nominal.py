@@ -20,7 +20,7 @@ from casacal.instruments import Sight
 from casacal.kinematics import stacked_poses
 from casacal.problem.compile import RowModel
 from casacal.problem.problem import Problem
-from casacal.problem.term import Site, Survey, SurveyedRows, Term
+from casacal.problem.term import Survey, SurveyedRows
 from casacal.samples.samples import Samples
 from casacal.unknowns import Unknown
 from casacal.values import EMPTY
@@ -46,14 +46,6 @@ def row_columns(
         for term in terms:
             columns |= term.values(site, rows)
     return columns
-
-
-def told_sizes(terms: Sequence[Term], site: Site, survey: Survey | None) -> dict[str, float]:
-    """RMS over the fitted rows of the columns that rows tell of terms."""
-    if survey is None:
-        return {}
-    told = (term.told(site, survey.samples) for term in terms if term.further)
-    return {name: float(np.sqrt((values**2).mean())) for each in told for name, values in each.items()}
 
 
 def surveys_of(problem: Problem, samples: Sequence[Samples], named: Mapping[str, Array]) -> tuple[Survey | None, ...]:

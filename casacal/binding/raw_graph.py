@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TypeAlias
 
 import casadi as ca
@@ -33,17 +32,10 @@ class RawBlock:
     """Positions of the kernel's v in the whole raw vector."""
     constants: Array
     """What else the rows share (nc,)."""
-    data: Array
-    """d by row (N, nd)."""
-    noise: Array
-    """Standard deviation of each residual (N, m)."""
+    lanes: Lanes
+    """The rows as the kernel reads them."""
     threads: int
     """How many share the rows."""
-
-    @cached_property
-    def lanes(self) -> Lanes:
-        """The rows as the kernel reads them."""
-        return self.kernel.lanes(self.data, self.noise)
 
     def __call__(self, v: Array, loss: Loss | None = None) -> tuple[float, Array, Array]:
         """Cost of the rows, its gradient (z,) and Hessian (z, z) by what they see of v (n,)."""
@@ -51,13 +43,7 @@ class RawBlock:
 
 
 class RawGraph:
-    """All rows in raw coordinates, with what makes raw coordinates valid.
-
-    start: raw coordinates of the nominal. constraints: v -> g, zero where v is valid. local: v -> x, the local
-    coordinates that other estimators use. prior: v -> half the prior's weighted square, its gradient,
-    its Hessian's entries, at the rows and columns `prior_places` of the upper triangle. bend: (v,
-    multipliers) -> entries of the Hessian by v of the constraints times their multipliers, at `bend_places`.
-    """
+    """All rows in raw coordinates, with what makes these valid: attributes as of `casacal.estimators.ipopt.RawForm`."""
 
     def __init__(self, slots: Sequence[Slot], blocks: Sequence[Block], threads: int, problem: LeastSquares) -> None:
         starts = np.cumsum([0] + [slot.unknown.raw_size for slot in slots])
@@ -66,8 +52,9 @@ class RawGraph:
         for block in blocks:
             for seen, constants, rows in zip(block.slots, block.constants, block.by_pattern, strict=True):
                 columns = [first[s.name] + j for s in seen for j in range(s.unknown.raw_size)]
-                there, noise = np.array(columns, dtype=np.intp), block.noise[rows]
-                found.append(RawBlock(block.model.curvature, there, constants, block.rows(rows), noise, threads))
+                kernel, there = block.model.curvature, np.array(columns, dtype=np.intp)
+                lanes = kernel.lanes(block.rows(rows), block.noise[rows])
+                found.append(RawBlock(kernel, there, constants, lanes, threads))
         free = [slot for slot in slots if slot.unknown.size]
         self.blocks, self.start = tuple(found), np.concatenate([s.unknown.raw_start(s.nominal) for s in free])
         symbols = [ca.SX.sym(slot.name, slot.unknown.raw_size) for slot in slots]

@@ -18,7 +18,6 @@ from casacal.kinematics import Expression, position
 from casacal.problem.term import Here, Site
 from casacal.robots.links import Links
 from casacal.robots.robot import random_joints
-from casacal.robots.urdf import weights_of
 from casacal.samples.samples import Samples
 from casacal.unknowns import Parameter
 from casacal.values import is_real
@@ -106,7 +105,11 @@ class GravitySag(Loaded):
         With a payload then what all give to `LOAD` kilograms at the tip, and each beside it.
         """
         turns = site.robot.revolute
-        if not turns.any() or not (pull := self._sag_of_one(site)) > LEAST_SAG:
+        postures = random_joints(site.robot, POSTURES, np.random.default_rng(0))
+        levers = np.array(site.robot.traced.levers.map(POSTURES)(postures.T)).reshape(3, POSTURES, -1)
+        along = np.einsum("a,akj->kj", np.array(self.down), levers)[:, turns]
+        pull = float(np.sqrt(((along**2).sum(axis=1) ** 2).mean()) / 1000)  # sag (mm) where each gives 1 rad per metre
+        if not pull > LEAST_SAG:
             return {}
         each = np.full(int(turns.sum()), APART)
         loaded = [[1.0], each] if self.payload else []
@@ -126,13 +129,6 @@ class GravitySag(Loaded):
         pulls = iter(at_tip)
         given = [u[0] * flange[j] + next(pulls) * tip[j] if turns else 0 for j, turns in enumerate(here.robot.revolute)]
         return ca.vertcat(*given)
-
-    def _sag_of_one(self, site: Site) -> float:
-        """By how much the flange sags (mm RMS) where every joint gives one radian per metre."""
-        postures = random_joints(site.robot, POSTURES, np.random.default_rng(0))
-        levers = np.array(site.robot.traced.levers.map(POSTURES)(postures.T)).reshape(3, POSTURES, -1)
-        along = np.einsum("a,akj->kj", np.array(self.down), levers)[:, site.robot.revolute]
-        return float(np.sqrt(((along**2).sum(axis=1) ** 2).mean()) / 1000)
 
 
 HEAVIEST = 1e5  # kilograms of a link; more is another unit
@@ -203,6 +199,8 @@ class LinkSag(Loaded):
         Raises ProblemError where the file names no mass, or cannot be read.
 
         """
+        from casacal.robots.urdf import weights_of  # of which a calibration has no need
+
         column, kilograms = (payload, 0.0) if isinstance(payload, str) else ("", payload)
         masses, centres = weights_of(path, base, tip, kilograms)
         return LinkSag(size=size, doubt=doubt, down=down, masses=masses, centres=centres, payload=column)

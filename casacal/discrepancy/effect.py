@@ -93,15 +93,13 @@ def read_columns_of(samples: Samples, columns: Sequence[str], joints: int, what:
         others = f", nor {listed(missing[1:])}" if missing[1:] else ""
         fix = f"Give it; further columns there are: {known}" if known else "Add it, and read the rows with this problem"
         raise ProblemError(f"{samples.file} has no column '{missing[0]}' of {what}{others}", fix)
-    return np.column_stack([_numbers(samples, column) for column in columns])
-
-
-def _numbers(samples: Samples, column: str) -> Array:
-    """A further column (N,), which samples of another problem hold as text."""
-    cells = samples.extra[column]
-    if isinstance(cells, np.ndarray):
-        return cells
-    return np.array(finite_numbers(samples.file, column, cells, samples.lines))
+    found = []
+    for column in columns:
+        cells = samples.extra[column]
+        if not isinstance(cells, np.ndarray):  # samples of another problem hold them as text
+            cells = np.array(finite_numbers(samples.file, column, cells, samples.lines))
+        found.append(cells)
+    return np.column_stack(found)
 
 
 def refuse_unless(good: Rows, samples: Samples, columns: Sequence[str], values: Array, what: str, fix: str) -> None:

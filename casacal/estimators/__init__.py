@@ -1,32 +1,18 @@
 """Estimators: plain functions of a `LeastSquares`; one algorithm a file where it is long.
 
 Each returns a `Result`: x (n,), deviations from nominal in the units of `problem.units`, with its covariance (n, n).
-Controls and methods that search a box are imported when they are asked for.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
+from casacal.estimators.controls import null_step as null_step
+from casacal.estimators.controls import plane_only as plane_only
 from casacal.estimators.ekf import ekf as ekf
 from casacal.estimators.ipopt import ipopt as ipopt
 from casacal.estimators.ipopt import nlpsol as nlpsol
 from casacal.estimators.lm import lm as lm
-from casacal.estimators.nominal import nominal as nominal
+from casacal.estimators.population import annealing as annealing
+from casacal.estimators.population import evolution as evolution
+from casacal.estimators.population import swarm as swarm
 from casacal.estimators.scipy_least_squares import scipy_least_squares as scipy_least_squares
 from casacal.estimators.sckf import sckf as sckf
 from casacal.estimators.sckf_lm import sckf_lm as sckf_lm
-
-if TYPE_CHECKING:
-    from casacal.estimators.controls import null_step as null_step
-    from casacal.estimators.controls import plane_only as plane_only
-    from casacal.estimators.population import annealing as annealing
-    from casacal.estimators.population import evolution as evolution
-    from casacal.estimators.population import swarm as swarm
-
-
-def __getattr__(name: str) -> Any:
-    for module in ("controls", "population"):
-        found = import_module(f"casacal.estimators.{module}")
-        if name in vars(found):
-            return vars(found)[name]
-    raise AttributeError(f"casacal.estimators has no '{name}'")
+from casacal.least_squares.result import nominal as nominal

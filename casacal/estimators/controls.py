@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from casacal.estimators.lm import lm
-from casacal.estimators.nominal import nothing_unknown
 from casacal.least_squares.conditioned import Conditioned
-from casacal.least_squares.linalg import svd
+from casacal.least_squares.linalg import right_directions
 from casacal.least_squares.objective import LeastSquares
-from casacal.least_squares.result import Result
+from casacal.least_squares.result import Result, nothing_unknown
 
 UNMOVED = 1.01
 """Residual RMS after the step, over that before it, beyond which the step is halved: the plane must not notice."""
@@ -49,9 +48,7 @@ def null_step(problem: LeastSquares, *, seed: int = 0, size: float = 2.0) -> Res
     if not problem.unknowns:
         return nothing_unknown(problem, "null-step")
     best = lm(problem)
-    rows = problem.jacobian(best.x) * problem.start_std
-    _, values, right = svd(rows, full=len(rows) < problem.unknowns)
-    values = np.concatenate([values, np.zeros(problem.unknowns - len(values))])
+    values, right = right_directions(problem.jacobian(best.x) * problem.start_std)
     unseen = right[values < UNSEEN]
     step = problem.start_std * (np.random.default_rng(seed).normal(scale=size, size=len(unseen)) @ unseen)
     before, halvings = float(np.linalg.norm(problem.residual(best.x))), 0

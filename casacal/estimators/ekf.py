@@ -11,9 +11,8 @@ from collections.abc import Callable
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.estimators.nominal import nothing_unknown
 from casacal.least_squares.objective import ExtendedPass, LeastSquares
-from casacal.least_squares.result import Result, Status
+from casacal.least_squares.result import Result, Status, nothing_unknown
 
 
 def linear_update(

@@ -13,10 +13,9 @@ import numpy as np
 
 from casacal.array_types import Array, Index
 from casacal.errors import CasacalError, ProblemError, UnknownNameError, came
-from casacal.estimators.nominal import nothing_unknown
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares
-from casacal.least_squares.result import Result, Status
+from casacal.least_squares.result import Result, Status, nothing_unknown
 
 
 class RawRows(Protocol):

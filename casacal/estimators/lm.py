@@ -25,10 +25,9 @@ from typing import NamedTuple
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.estimators.nominal import nothing_unknown
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import DampedStep, LeastSquares, Normal
-from casacal.least_squares.result import Result, Status
+from casacal.least_squares.result import Result, Status, nothing_unknown
 
 FASTEST_DECREASE = 1 / 3
 """Largest fall of the damping in one step: Nielsen, Damping parameter in Marquardt's method, 1999, eq (2.16)."""

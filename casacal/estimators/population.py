@@ -12,10 +12,9 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.estimators.nominal import nothing_unknown
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares
-from casacal.least_squares.result import Result, Status
+from casacal.least_squares.result import Result, Status, nothing_unknown
 
 BUDGET = 1_000_000  # rows of residuals that a population method may evaluate unless told otherwise
 WIDTH = 4.0  # half width of the box, in prior standard deviations (`start_std` where the prior is flat)

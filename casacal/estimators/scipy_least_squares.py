@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from casacal.estimators.nominal import nothing_unknown
 from casacal.least_squares.objective import LeastSquares
-from casacal.least_squares.result import Result, Status
+from casacal.least_squares.result import Result, Status, nothing_unknown
 
 TOLERANCE = 1e-14
 

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.estimators.nominal import nothing_unknown
 from casacal.least_squares.linalg import downdated, tria
 from casacal.least_squares.objective import FilterPass, LeastSquares
-from casacal.least_squares.result import Result, Status
+from casacal.least_squares.result import Result, Status, nothing_unknown
 from casacal.values import Value
 
 

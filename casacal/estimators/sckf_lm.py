@@ -8,13 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from casacal.array_types import Array
 from casacal.estimators.lm import MAX_STEPS, lm
-from casacal.estimators.nominal import nothing_unknown
 from casacal.estimators.sckf import sckf
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares
-from casacal.least_squares.result import Result
+from casacal.least_squares.result import Result, nothing_unknown
 
 UNUSUAL = 5.0  # standard deviations above its mean at which a chi-square calls for an explanation
 
@@ -35,7 +33,10 @@ def sckf_lm(
     """
     if not problem.unknowns:
         return nothing_unknown(problem, "sckf-lm")
-    filtered, path = _filtered(problem, progress)
+    part, places = problem.first_part() or (problem, np.arange(problem.unknowns))
+    filtered = sckf(part, progress=progress)
+    path = np.tile(problem.x0, (len(filtered.trace["x"]), 1))  # unknowns that the filter was spared stay at the nominal
+    path[:, places] = filtered.trace["x"]
     start = path[-1] if filtered.converged else None
     tried = [lm(problem, start=start, max_steps=max_steps, tolerance=tolerance, loss=loss, progress=progress)]
     # at the true minimum 2 f is a chi-square with a degree for each row; above it a lower one may stand elsewhere
@@ -50,16 +51,3 @@ def sckf_lm(
         residual_rows=filtered.residual_rows + sum(found.residual_rows for found in tried),
         jacobian_rows=filtered.jacobian_rows + sum(found.jacobian_rows for found in tried),
     )
-
-
-def _filtered(problem: LeastSquares, progress: Callable[[int, float], None] | None) -> tuple[Result, Array]:
-    """The filter's result, and its means (rows + 1, n) of all unknowns, those that it was spared at the nominal."""
-    part = problem.first_part()
-    if part is None:
-        found = sckf(problem, progress=progress)
-        return found, found.trace["x"]
-    first, places = part
-    found = sckf(first, progress=progress)
-    path = np.tile(problem.x0, (len(found.trace["x"]), 1))
-    path[:, places] = found.trace["x"]
-    return found, path

@@ -247,18 +247,9 @@ class PackedPieces:
         kernels, lanes = piece.kernels, piece.lanes
         assert isinstance(kernels, NativeKernels)
         self.compiled = kernels.compiled  # any piece's library takes all pieces
-        entries = (
-            ctypes.cast(each, ctypes.c_void_p).value for each in (kernels.compiled.normal, kernels.compiled.slopes)
-        )
-        sizes = (
-            lanes.n,
-            lanes.w.shape[1],
-            columns.size,
-            kernels.rows,
-            constants.size,
-            kernels.components,
-            len(lanes.d),
-        )
+        run, own = kernels.compiled, (columns.size, kernels.rows, constants.size, kernels.components)
+        entries = (ctypes.cast(each, ctypes.c_void_p).value for each in (run.normal, run.slopes))
+        sizes = (lanes.n, lanes.w.shape[1], *own, len(lanes.d))
         return _PackedPiece(*entries, *sizes, *(each.ctypes.data for each in (columns, constants, lanes.d, lanes.w)))
 
     def extended_pass(

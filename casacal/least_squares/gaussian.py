@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.least_squares.linalg import information_of, whitening_of
+from casacal.least_squares.linalg import whitening_of
 from casacal.values import Value
 
 
@@ -62,7 +62,7 @@ def prior_rows(names: Sequence[str], prior_std: Array, known: Gaussian | None) -
     together = {} if known is None else {name: j for j, name in enumerate(known.names)}
     firm = [j for j, name in enumerate(names) if np.isfinite(prior_std[j]) and name not in together]
     rows = np.zeros((len(firm), len(names)))
-    rows[np.arange(len(firm)), firm] = np.sqrt(information_of(prior_std[firm]))
+    rows[np.arange(len(firm)), firm] = 1.0 / prior_std[firm]
     if known is None:
         return rows
     held = [j for j, name in enumerate(names) if name in together and np.isfinite(prior_std[j])]

@@ -75,6 +75,12 @@ def svd(matrix: Array, *, full: bool = False) -> tuple[Array, Array, Array]:
     return left, values, right
 
 
+def right_directions(matrix: Array) -> tuple[Array, Array]:
+    """All n singular values of a matrix (m, n), zero where m is smaller, and right singular vectors (n, n; rows)."""
+    _, values, right = svd(matrix, full=len(matrix) < matrix.shape[1])
+    return np.pad(values, (0, len(right) - len(values))), right
+
+
 def revealed_solution(rows: Array, gradient: Array, damping: float) -> tuple[Array, float, float] | None:
     """Solve (A'A + damping I) s = -g by singular values of A (m, n), apart from directions that it does not see.
 
@@ -105,11 +111,6 @@ def freed_of(rows: Array, others: Array) -> Array:
     return np.asarray(np.linalg.qr(rows - left @ (left.T @ rows), mode="r"))
 
 
-def information_of(prior_std: Array) -> Array:
-    """1 / s^2 of each unknown (n,), zero where the prior is flat."""
-    return np.where(np.isfinite(prior_std), 1.0 / prior_std**2, 0.0)
-
-
 def whitening_of(covariance: Array) -> Array:
     """W (n, n) with W C W' = I. A direction in which rounding left no variance keeps what rounding may have taken."""
     scale = np.sqrt(np.diagonal(covariance))
@@ -125,16 +126,6 @@ def whitening_of(covariance: Array) -> Array:
 def unit_scale(diagonal: Array) -> Array:
     """What scales a matrix with this diagonal (n,) to a unit one."""
     return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
-
-
-def column_scales(diagonal: Array, prior_std: Array) -> Array:
-    """Scale of each unknown (n,): its prior std, or 1 / |column of the Jacobian| where the prior is flat (More).
-
-    The diagonal is that of the data's information J'J.
-    """
-    norms = np.sqrt(np.maximum(diagonal, 0.0))
-    by_data = 1.0 / np.where(norms > 0, norms, 1.0)
-    return np.where(np.isfinite(prior_std), prior_std, by_data)
 
 
 def posterior_covariance(data_information: Array, prior: Array) -> Array:

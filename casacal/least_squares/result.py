@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError, came
-from casacal.least_squares.linalg import column_scales, posterior_covariance
+from casacal.least_squares.linalg import posterior_covariance, unit_scale
 from casacal.least_squares.losses import Loss, worth_under
 from casacal.least_squares.objective import LeastSquares
 from casacal.values import Value, frozen, short
@@ -61,10 +61,10 @@ class Result(Value):
     problem: LeastSquares
     x: Array
     status: Status
-    trace: Mapping[str, Array]
-    steps: int
-    residual_rows: int
-    jacobian_rows: int
+    trace: Mapping[str, Array] = field(default_factory=dict)
+    steps: int = 0
+    residual_rows: int = 0
+    jacobian_rows: int = 0
     loss: Loss | None = None
     information: Array | None = None
     belief: Array | None = None
@@ -134,7 +134,8 @@ class Result(Value):
         """Largest component of the objective's gradient at x, in prior-scaled (flat: column-scaled) coordinates."""
         normal = self.problem.normal(self.x, self.loss)
         gradient = normal.gradient + self.problem.prior_information @ (self.x - self.problem.x0)
-        scales = column_scales(np.diagonal(normal.information), self.problem.prior_std)
+        by_column = unit_scale(np.diagonal(normal.information))  # 1 / |column of the Jacobian| (More 1978)
+        scales = np.where(np.isfinite(self.problem.prior_std), self.problem.prior_std, by_column)
         return float(np.abs(scales * gradient).max(initial=0.0))
 
 
@@ -154,4 +155,15 @@ def as_result(outcome: Result | Array | Any, problem: LeastSquares, method: str)
         raise CasacalError(f"The estimate of '{method}' is not finite", "See its status on this problem alone")
     if isinstance(outcome, Result):
         return replace(outcome, method=method, problem=problem, x=x)
-    return Result(method, problem, x, Status.UNSAID, {}, 0, 0, 0)
+    return Result(method, problem, x, Status.UNSAID)
+
+
+def nominal(problem: LeastSquares) -> Result:
+    """The control that does nothing: the prior's mean with the prior's covariance; evaluates nothing."""
+    return Result("nominal", problem, problem.x0.copy(), Status.NOMINAL, belief=problem.prior_covariance)
+
+
+def nothing_unknown(problem: LeastSquares, method: str) -> Result:
+    """What any method returns where every unknown is held: the arm as drawn, x of no entries."""
+    assert not problem.unknowns
+    return replace(nominal(problem), method=method)

@@ -277,7 +277,7 @@ def estimate(metered: Any, way: Way) -> Result:
     told = told if isinstance(told, Told) else Told(told, "")
     residuals, refused = np.asarray(told.residuals, dtype=np.float64), told.verdict == "do not use"
     trace = {"left": residuals, "refused": np.array([float(refused)])}
-    return Result("bench", problem, problem.x0.copy(), Status.UNSAID, trace, 0, 0, 0)
+    return Result("bench", problem, problem.x0.copy(), Status.UNSAID, trace)
 
 
 def read_ways(files: Iterable[str | Path]) -> dict[str, Way]:
@@ -335,7 +335,14 @@ def bench_lines(run: Run, sets: Sequence[BenchmarkSet]) -> list[str]:
 
 
 def _row(run: Run, each: BenchmarkSet, method: str) -> list[str]:
-    found = {kind: _figure(run, _settings(run, each.name, kind), method) for kind in KINDS}
+    found = {}
+    for kind in KINDS:
+        folds_of = _settings(run, each.name, kind)
+        squares, rows = (
+            np.concatenate([np.zeros(0), *(run.values(setting, method, figure) for setting in folds_of)])
+            for figure in ("squares", "rows")
+        )
+        found[kind] = root_mean_square(squares, rows)
     refused = any((run.values(setting, method, "refused") == 1).any() for setting in _settings(run, each.name))
     leak = found[BLOCKED].value / found[RANDOM].value
     shown = "–" if not math.isfinite(leak) else f"**{leak:.2f}**" if leak >= LEAKS else f"{leak:.2f}"
@@ -347,15 +354,6 @@ def _row(run: Run, each: BenchmarkSet, method: str) -> list[str]:
     same = "yes" if abs(mine / theirs.figure - 1) <= REPRODUCED else "better" if mine < theirs.figure else "no"
     # the few rows of the quick form are not those of the published figure
     return [*cells, f"{theirs.figure:g} ({theirs.by})", "–" if run.quick else same]
-
-
-def _figure(run: Run, settings: list[str], method: str) -> Interval:
-    """Root mean square and its interval; not numbers where a fold failed or there is none."""
-    squares, rows = (
-        np.concatenate([np.zeros(0), *(run.values(setting, method, figure) for setting in settings)])
-        for figure in ("squares", "rows")
-    )
-    return root_mean_square(squares, rows)
 
 
 def root_mean_square(squares: Array, rows: Array) -> Interval:

@@ -41,8 +41,7 @@ def fingerprint(value: Any) -> str:
     their byte code, defaults, closure and the globals they use. casacal's own functions and classes count by name:
     `code_fingerprint` covers them.
     """
-    text = json.dumps(_described(value, ()), sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    return _digest(json.dumps(_described(value, ()), sort_keys=True).encode())[:16]
 
 
 @functools.cache
@@ -167,16 +166,12 @@ def to_line(record: Mapping[str, Any]) -> str:
     Numbers have ten digits, timings four, and are null where not finite.
     """
     text = _text(record)
-    return f'{text[:-1]},"check":"{_checksum(text.encode())}"}}\n'
+    return f'{text[:-1]},"check":"{_digest(text.encode())[:16]}"}}\n'
 
 
 def _text(record: Mapping[str, Any]) -> str:
     plain = {key: _rounded(value, TIMING_DIGITS if key == TIMINGS else DIGITS) for key, value in record.items()}
     return json.dumps(plain, sort_keys=True, separators=(",", ":"), allow_nan=False)
-
-
-def _checksum(text: bytes) -> str:
-    return hashlib.sha256(text).hexdigest()[:16]
 
 
 def read_records(path: Path) -> list[Record]:
@@ -195,7 +190,7 @@ def read_records(path: Path) -> list[Record]:
 def _record(line: bytes, path: Path, number: int, checked: bool) -> Record:
     """The record of a line; raises StudyError when it is none, or `checked` and not as it was written."""
     end = _CHECKED.search(line)
-    whole = end is not None and end[1] == _checksum(line[: end.start()] + b"}").encode()
+    whole = end is not None and end[1] == _digest(line[: end.start()] + b"}")[:16].encode()
     try:
         record = json.loads(line)
         key_of(record)
@@ -302,7 +297,7 @@ def records_digest(records: Iterable[Record]) -> str:
 
     Equal numbers have equal digests, also from a later version that computes the same.
     """
-    return hashlib.sha256("".join(f"{_content(record)}\n" for record in records).encode()).hexdigest()
+    return _digest("".join(f"{_content(record)}\n" for record in records).encode())
 
 
 def _packed(path: Path) -> Path:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache, partial
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -177,15 +177,6 @@ _CHILDREN = threading.Lock()
 """To start a process, Python asks all others whether they have ended; only one thread may hear it."""
 
 
-@dataclass
-class _Heard:
-    """What a process said: `begun` once it has read the study, `made` once its trial is, then the records."""
-
-    begun: bool = False
-    made: bool = False
-    records: list[Record] = field(default_factory=list)
-
-
 def supervised(name: str, errands: Sequence[Errand], seconds: float, workers: int) -> Iterator[list[Record]]:
     """Records of tasks, each made in a process of its own, `workers` at a time.
 
@@ -214,30 +205,36 @@ def _records(name: str, errand: Errand, seconds: float, workers: int, stopped: C
     while left:
         remaining = errand.task.without([key_of(record) for record in found])
         heard, ended = _heard(replace(errand, task=remaining), seconds, workers, stopped)
-        found += heard.records
-        left = left[len(heard.records) :]
+        made = [record for record in heard if record is not None]
+        found += made
+        left = left[len(made) :]
         if ended is None:
             break
-        if not heard.begun:
+        if not heard:
             fix = "Where a script runs the study, let it do so under if __name__ == '__main__'"
             raise StudyError(f"The process of a trial did not begin ({ended['error']})", fix)
-        blamed = left[:1] if heard.made else left  # a trial that cannot be made fails every method
+        blamed = left[:1] if len(heard) > 1 else left  # a trial that cannot be made fails every method
         found += [{**head, **ended} for head in blamed]
         left = left[len(blamed) :]
     return found
 
 
-def _heard(errand: Errand, seconds: float, workers: int, stopped: Connection) -> tuple[_Heard, Record | None]:
-    """What a process says of a task, and how it ended where it did not say all; no end when the run is stopped."""
-    context, heard = multiprocessing.get_context("spawn"), _Heard()
+def _heard(
+    errand: Errand, seconds: float, workers: int, stopped: Connection
+) -> tuple[list[Record | None], Record | None]:
+    """What a process says of a task: None once it has read the study, None once a trial is made, and the records.
+
+    And how it ended where it did not say all; no end when the run is stopped.
+    """
+    context, heard, missing = multiprocessing.get_context("spawn"), list[Record | None](), len(errand.task.methods)
     receive, send = context.Pipe(duplex=False)
     process = context.Process(target=_serve, args=(send, errand, seconds, workers > 1))
     with _CHILDREN:
         process.start()
     send.close()
     try:
-        while len(heard.records) < len(errand.task.methods):
-            limit = seconds if heard.begun else BEGIN_SECONDS
+        while missing:
+            limit = seconds if heard else BEGIN_SECONDS
             ready = wait([receive, stopped], limit)
             if stopped in ready:
                 break
@@ -249,10 +246,8 @@ def _heard(errand: Errand, seconds: float, workers: int, stopped: Connection) ->
                 return heard, failed(_words(process))
             if isinstance(said, CasacalError):
                 raise said
-            if isinstance(said, dict):
-                heard.records.append(said)
-            heard.made |= heard.begun
-            heard.begun = True
+            heard.append(said)
+            missing -= said is not None
         return heard, None
     finally:
         _end(process)

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from casacal.errors import CasacalError, StudyError, came, said
@@ -60,9 +59,23 @@ def load_study(path: str | Path) -> StudyFile:
 
 
 def names_of(file: Path) -> dict[str, Any]:
-    """What a user's file defines, by name; raises CasacalError when it raises."""
+    """What a user's file defines, by name; raises CasacalError when it raises.
+
+    It is imported by its dotted name where it is part of a package, else on its own beside its neighbours.
+    """
+    parts, folder = _dotted(file.resolve())
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
     try:
-        return vars(_imported(file.resolve()))
+        if len(parts) > 1:
+            return vars(importlib.import_module(".".join(parts)))
+        spec = importlib.util.spec_from_file_location(f"casacal_study_{file.stem}", file.resolve())
+        if spec is None or spec.loader is None:
+            raise StudyError(f"'{file.name}' is not a Python file", "Name it NAME.py")
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[spec.name] = module
+        spec.loader.exec_module(module)
+        return vars(module)
     except (Exception, SystemExit) as error:  # a user's file may raise anything
         raise _failure(file, error) from error
 
@@ -75,40 +88,11 @@ def _dotted(file: Path) -> tuple[list[str], Path]:
     return parts, folder
 
 
-def lines_of(source: StudyFile, run: Any) -> list[str]:
-    """What the study's report says of a run, as lines; raises StudyError when it fails, or says nothing."""
-    try:
-        told = source.report(run)
-    except (Exception, SystemExit) as error:  # a user's function may raise anything
-        raise _failure(Path(source.path or source.name), error) from error
-    if isinstance(told, str):
-        return told.splitlines()
-    if not isinstance(told, Iterable):
-        raise StudyError(f"Got {came(told)} from report(run) of '{source.path}'", "Return the lines of report.md")
-    return [str(line) for line in told]
-
-
 def _failure(file: Path, error: BaseException) -> CasacalError:
     """A refusal that names the last line of the file itself that was running."""
     if isinstance(error, CasacalError):
         return error
     return StudyError(f"{line_of(file, error)}: {said(error)}", "Mend the study file")
-
-
-def _imported(file: Path) -> ModuleType:
-    """Import a file by its dotted name where it is part of a package, else on its own beside its neighbours."""
-    parts, folder = _dotted(file)
-    if str(folder) not in sys.path:
-        sys.path.insert(0, str(folder))
-    if len(parts) > 1:
-        return importlib.import_module(".".join(parts))
-    spec = importlib.util.spec_from_file_location(f"casacal_study_{file.stem}", file)
-    if spec is None or spec.loader is None:
-        raise StudyError(f"'{file.name}' is not a Python file", "Name it NAME.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 MACHINES = "machines.json"
@@ -150,11 +134,19 @@ def read_machines(out: Path) -> list[dict[str, Any]]:
 def write_report(source: StudyFile, run: Run, options: str) -> Path:
     """Write report.md, and what else the study draws, into the run's folder; returns its path.
 
-    options: of the command, those that decide what is in the report.
+    options: of the command, those that decide what is in the report. Raises StudyError when the study's own report
+    fails, or says nothing.
     """
     run.out.mkdir(parents=True, exist_ok=True)
     commands = [f"{command}{options}" for command in source.commands]
-    lines = [*lines_of(source, run), "", "## How this was made", ""]
+    try:
+        told = source.report(run)
+    except (Exception, SystemExit) as error:  # a user's function may raise anything
+        raise _failure(Path(source.path or source.name), error) from error
+    if not isinstance(told, Iterable):
+        raise StudyError(f"Got {came(told)} from report(run) of '{source.path}'", "Return the lines of report.md")
+    said_by_study = told.splitlines() if isinstance(told, str) else map(str, told)
+    lines = [*said_by_study, "", "## How this was made", ""]
     lines += [f"{' or '.join(f'`{command}`' for command in commands)}.", ""]
     if run.study is not None:
         failed = sum(record["error"] is not None for record in run.records)

@@ -8,9 +8,11 @@ import multiprocessing
 import os
 import random
 import time
+import timeit
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -141,10 +143,9 @@ class Task:
 
     def without(self, done: Iterable[Key]) -> Task:
         """The task without the methods that are recorded already."""
-        kept = [i for i, key in enumerate(self.keys) if key not in set(done)]
-        return replace(
-            self, methods=tuple(self.methods[i] for i in kept), fingerprints=tuple(self.fingerprints[i] for i in kept)
-        )
+        recorded, pairs = set(done), zip(self.methods, self.fingerprints, strict=True)
+        kept = [(method, key) for method, key in pairs if (key, self.trial) not in recorded]
+        return replace(self, methods=tuple(m for m, _ in kept), fingerprints=tuple(key for _, key in kept))
 
 
 @contextlib.contextmanager
@@ -252,7 +253,7 @@ def warm_up(problem: LeastSquares) -> dict[str, float]:
     problem.row(0, np.tile(x, (2 * problem.unknowns, 1)))
     problem.row_jacobian(0, x)
     per = {"residual_row": problem.residual, "jacobian_row": problem.jacobian}
-    return {name: min(_seconds(call, x) for _ in range(5)) / problem.rows for name, call in per.items()}
+    return {name: min(timeit.repeat(partial(call, x), number=1)) / problem.rows for name, call in per.items()}
 
 
 def _measured(study: Study, made: Trial, method: str, trial: int, rows: dict[str, float]) -> Record:
@@ -323,9 +324,3 @@ def _thinned(points: list[list[float]]) -> list[list[float]]:
         return points
     chosen = np.unique(np.geomspace(1, len(points), POINTS).astype(int) - 1)
     return [points[k] for k in chosen]
-
-
-def _seconds(call: Callable[[Array], Any], x: Array) -> float:
-    began = time.perf_counter()
-    call(x)
-    return time.perf_counter() - began

@@ -43,7 +43,8 @@ def common_scale(bound: Seen, x: Array, covariance: Array) -> CommonScale | None
     own = np.flatnonzero(np.isfinite(bound.prior_std) & ~bound.datum)
     std = bound.prior_std[own]
     spread = covariance[np.ix_(own, own)] / np.outer(std, std)
-    growth = _growth(bound)[own] / std
+    grown = scale_direction(bound.whole)[bound.free] if isinstance(bound, ArmAlone) else scale_direction(bound)
+    growth = grown[own] / std
     if not (np.isfinite(spread).all() and np.isfinite(x[own]).all() and growth.any()):
         return None
     left, along = np.linalg.eigh(spread)
@@ -73,8 +74,3 @@ def common_scale(bound: Seen, x: Array, covariance: Array) -> CommonScale | None
     off = np.zeros(bound.unknowns)
     off[own] = (moved - rest) * std
     return CommonScale(part, 2 * float(stdtr(freedom, -student)), off)
-
-
-def _growth(bound: Seen) -> Array:
-    """Change of x (s,) when all lengths grow by a part of one."""
-    return scale_direction(bound.whole)[bound.free] if isinstance(bound, ArmAlone) else scale_direction(bound)

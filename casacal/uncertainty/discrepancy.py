@@ -29,7 +29,7 @@ from casacal.wording import sized
 
 ENOUGH = 300  # rows from which on a field of many unknowns can be told
 MANY = 300  # unknowns of the geometry beyond which each has too few rows to tell of effects
-MANY_FACES = 150  # and faces
+MANY_FACES = 150  # and faces, whose forms are unknown
 NEARLY = 0.98  # part of the most that an effect may be from which it is taken to stand there
 
 SAGS = 0.5  # times the usual sag from which on it is asked whose weight it is
@@ -62,7 +62,9 @@ def with_effects(bound: BoundProblem, problem: Problem, *, find_noise: bool = Tr
         find_noise: whether noise is found beside the sizes; else it stays as it is.
 
     """
-    if not bound.unknowns or too_many(bound):
+    pairs = zip(bound.problem.instruments, bound.samples, strict=True)
+    faces = sum(len(some.faces(each.groups).names) for each, some in pairs if each.probe is not None)
+    if not 0 < bound.unknowns <= MANY or faces > MANY_FACES:
         return bound
     geometry = lm(bound)
     if not geometry.converged:
@@ -86,13 +88,6 @@ def with_effects(bound: BoundProblem, problem: Problem, *, find_noise: bool = Tr
         if by_links.best(least).evidence > standard.best(least).evidence:
             return by_links.sized(least)
     return found
-
-
-def too_many(bound: BoundProblem) -> bool:
-    """Whether unknowns of the geometry, or faces whose forms would be unknown, are too many for effects beside it."""
-    pairs = zip(bound.problem.instruments, bound.samples, strict=True)
-    faces = sum(len(some.faces(each.groups).names) for each, some in pairs if each.probe is not None)
-    return bound.unknowns > MANY or faces > MANY_FACES
 
 
 @dataclass(frozen=True)

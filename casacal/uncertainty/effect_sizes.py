@@ -104,8 +104,8 @@ def effect_sizes(
         problem: with unknowns of effects, at the sizes that are expected of them.
         x: where it is fitted (n,).
         beside: for each of its unknowns (n,) the effect that it belongs to, empty for those of the geometry.
-        known: for each effect the times by which its size may well be larger (one holds it; see `_below` for smaller),
-            and those that it never is.
+        known: for each effect the times by which its size may well be larger (one holds it; smaller by the square of
+            them, up to six), and those that it never is.
         stated: stated noise over that with which the problem weighs its rows. These weights are the most: what geometry
             alone leaves in the rows is explained by effects in part, never made more.
         least: part of the stated noise that there is at least; None leaves the noise as it is.
@@ -167,16 +167,9 @@ def _objective(
     gradient.append(2 * (rows - learnt - left / variance))
     free = spread > 0
     off = logs - expected
-    smaller = np.append(_below(spread[:-1]), spread[-1])  # there is always some noise
+    # no gear has six times the usual error and still turns, but many have a sixth of it; there is always some noise
+    smaller = np.append(np.maximum(spread[:-1], np.minimum(2 * spread[:-1], SMALLER)), spread[-1])
     wide = np.where(free, np.where(off < 0, smaller, spread), 1.0)
     hyper = np.where(free, off / wide, 0.0)
     slope = hyper / wide
     return value + float(hyper @ hyper), np.array(gradient) + 2 * slope
-
-
-def _below(spread: Array) -> Array:
-    """Spread of the log of sizes below the usual one: twice that above it up to `SMALLER`, never less than above it.
-
-    No gear has six times the usual error and still turns, but many have a sixth of it.
-    """
-    return np.maximum(spread, np.minimum(2 * spread, SMALLER))

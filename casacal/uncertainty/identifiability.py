@@ -15,7 +15,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.least_squares.linalg import correlation, svd
+from casacal.least_squares.linalg import correlation, right_directions, svd
 from casacal.least_squares.objective import LeastSquares
 from casacal.uncertainty.workspace import FIELD_TOLERANCE, seen_space, tip_rms, without_rigid
 
@@ -173,8 +173,7 @@ def split_null_space(null: Array, tip_jacobian: Array, tips: Array) -> list[tupl
     taken, parts = np.zeros((null.shape[1], 0)), []
     stages: tuple[tuple[Kind, Array], ...] = (("invisible", field), ("rigid", bent), ("scale", rest))
     for kind, seen in stages:
-        _, sizes, right = svd(seen, full=len(seen) < seen.shape[1])
-        sizes = np.concatenate([sizes, np.zeros(null.shape[1])])[: null.shape[1]]
+        sizes, right = right_directions(seen)
         kernel = right[sizes < size].T
         parts.append((kind, _beyond(kernel, taken)))
         taken = kernel

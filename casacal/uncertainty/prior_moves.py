@@ -92,7 +92,9 @@ def prior_scatter(bound: BoundProblem, *, flat_counts: bool = False) -> PriorSca
 
     Where it must not be understated, `flat_counts`, a flat prior counts as wide as filters start it.
     """
-    bound = _with_proposals_free(bound)
+    held = {slot.key for slot in bound.slots if slot.datum and slot.held_as_drawn}
+    if held:  # just where the drawn arm has it: it took over that arm's errors, as if it had been fitted
+        bound = bound.under(bound.problem.free(*sorted(held)))
     stds = bound.start_std if flat_counts else bound.prior_std
     bound = bound.thinned(MOST_ROWS)
     noise = bound.noise
@@ -103,17 +105,7 @@ def prior_scatter(bound: BoundProblem, *, flat_counts: bool = False) -> PriorSca
     arm = ~stands & np.isfinite(stds)
     moved, planes = slopes[:, arm] * stds[arm], slopes[:, stands]
     left = moved - planes @ np.linalg.lstsq(planes, moved, rcond=None)[0]
-    return _scatter(left.T @ left / len(noise), noise)
-
-
-def _with_proposals_free(bound: BoundProblem) -> BoundProblem:
-    """What is held just where the drawn arm has it took over the drawn arm's errors, as if it had been fitted."""
-    held = {slot.key for slot in bound.slots if slot.datum and slot.held_as_drawn}
-    return bound.under(bound.problem.free(*sorted(held))) if held else bound
-
-
-def _scatter(powers: Array, noise: Array) -> PriorScatter:
-    """From the mean square residual as a quadratic form of independent prior errors, and the noise of each row."""
+    powers = left.T @ left / len(noise)  # the mean square residual as a quadratic form of independent prior errors
     if not np.isfinite(powers).all():  # a residual that is none at the drawn arm: nothing is known of it
         return PriorScatter(np.array([math.nan]), np.ones(1))
     own = np.clip(np.linalg.eigvalsh(powers), 0.0, None)

@@ -56,28 +56,23 @@ def leave_one_face_out(bound: BoundProblem, result: Result) -> tuple[LeftOut, ..
         return ()
     found = []
     for face, rows in faces.rows().items():
-        others = np.setdiff1d(np.arange(len(faces)), rows)
-        one = _left_out(bound.take(others), bound, rows, result, face)
-        found += [] if one is None else [one]
+        others = bound.take(np.setdiff1d(np.arange(len(faces)), rows))
+        fit = lm(others, start=result.x, loss=result.loss)
+        if not fit.converged:
+            continue
+        known = np.isfinite(np.diagonal(fit.covariance))  # what the others do not hold, these rows alone know
+        index = bound.residuals_of(rows)
+        index = index[result.weights[index] >= HALF_WEIGHT]
+        slopes = bound.jacobian(fit.x)[index]
+        spread = slopes[:, known] @ covariance_root(fit.covariance[np.ix_(known, known)])
+        judged = FreshRows(bound.residual(fit.x)[index], spread, slopes[:, ~known])
+        if judged.freedom < 1:
+            continue
+        of_unit = bound.leading[index]
+        actual, predicted = (rms((sizes * bound.noise[index])[of_unit]) for sizes in (judged.left, judged.std))
+        p = chance(judged.chi_square, judged.freedom)
+        found.append(LeftOut(face, len(rows), actual, predicted, judged.chi_square, judged.freedom, p))
     return tuple(found)
-
-
-def _left_out(others: BoundProblem, bound: BoundProblem, rows: Index, result: Result, face: str) -> LeftOut | None:
-    fit = lm(others, start=result.x, loss=result.loss)
-    if not fit.converged:
-        return None
-    known = np.isfinite(np.diagonal(fit.covariance))  # what the others do not hold, these rows alone know
-    index = bound.residuals_of(rows)
-    index = index[result.weights[index] >= HALF_WEIGHT]
-    slopes = bound.jacobian(fit.x)[index]
-    spread = slopes[:, known] @ covariance_root(fit.covariance[np.ix_(known, known)])
-    judged = FreshRows(bound.residual(fit.x)[index], spread, slopes[:, ~known])
-    if judged.freedom < 1:
-        return None
-    of_unit = bound.leading[index]
-    actual, predicted = (rms((sizes * bound.noise[index])[of_unit]) for sizes in (judged.left, judged.std))
-    p = chance(judged.chi_square, judged.freedom)
-    return LeftOut(face, len(rows), actual, predicted, judged.chi_square, judged.freedom, p)
 
 
 FACES, REGIONS, INSTRUMENTS = "faces", "regions", "instruments"

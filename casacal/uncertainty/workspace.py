@@ -8,7 +8,7 @@ import numpy as np
 
 from casacal.array_types import Array, Index
 from casacal.binding.seen import ArmAlone, Seen
-from casacal.least_squares.linalg import posterior_covariance, svd
+from casacal.least_squares.linalg import posterior_covariance, right_directions, svd
 from casacal.robots.robot import Robot, random_joints
 
 WORKSPACE_POSES = 400
@@ -120,7 +120,7 @@ under usual priors, and above what rank tolerance times condition mixes into nul
 
 def seen_space(rows: Array) -> tuple[int, Array]:
     """Rank of a matrix (m, n), and right singular vectors (n, n; rows) of which the first `rank` span what it sees."""
-    _, sizes, right = svd(rows, full=len(rows) < rows.shape[1])
+    sizes, right = right_directions(rows)
     return int((sizes > RANK_TOLERANCE * max(float(sizes.max(initial=0.0)), 1e-300)).sum()), right
 
 
@@ -147,8 +147,7 @@ def classical_bound(jacobian: Array, scale: Array, tip_jacobian: Array, tips: Ar
 
     Infinite when there is such a direction. Of the whitened Jacobian (rows, n), its columns in units of `scale` (n,).
     """
-    _, sizes, right = svd(jacobian * scale, full=len(jacobian) < len(scale))
-    sizes = np.concatenate([sizes, np.zeros(len(scale) - len(sizes))])
+    sizes, right = right_directions(jacobian * scale)
     seen = sizes > RANK_TOLERANCE * max(float(sizes.max(initial=0.0)), 1e-300)
     field = without_rigid(tip_jacobian * scale, tips)
     lost = svd(field @ right[~seen].T)[1]
