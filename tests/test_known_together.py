@@ -8,7 +8,8 @@ import pytest
 from casacal import bind
 from casacal.binding.seen import ArmAlone
 from casacal.discrepancy import with_kit
-from casacal.estimators import ekf, ipopt, lm, scipy_least_squares, sckf_lm
+from casacal.estimators import ekf, ipopt, lm, sckf_lm
+from casacal.estimators.scipy_least_squares import scipy_least_squares
 from casacal.least_squares.conditioned import Conditioned
 from casacal.least_squares.gaussian import Gaussian
 from casacal.samples.samples import joined

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.errors import CasacalError, UnknownNameError, came
-from casacal.estimators import annealing, ekf, evolution, ipopt, lm, plane_only, sckf, sckf_lm, swarm
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.result import Result, Status, as_result
 from casacal.problem.problem import Problem
@@ -23,18 +23,27 @@ from casacal.values import Value
 Progress: TypeAlias = Callable[[int, float], None]
 Method: TypeAlias = Callable[..., Result | Array]
 
-METHODS: Mapping[str, Method] = {
-    "lm": lm,
-    "sckf": sckf,
-    "sckf-lm": sckf_lm,
-    "ekf": ekf,
-    "annealing": annealing,
-    "swarm": swarm,
-    "evolution": evolution,
-    "ipopt": ipopt,
-    "plane-only": plane_only,
+METHODS: Mapping[str, str] = {
+    "lm": "lm",
+    "sckf": "sckf",
+    "sckf-lm": "sckf_lm",
+    "ekf": "ekf",
+    "annealing": "population",
+    "swarm": "population",
+    "evolution": "population",
+    "ipopt": "ipopt",
+    "plane-only": "controls",
 }
-"""The names the command line knows."""
+"""The names the command line knows, and the module of `casacal.estimators` that defines each."""
+
+
+def method_of(name: str) -> Method | None:
+    """casacal's own method of that name, whose module is imported now; None where it has none."""
+    if name not in METHODS:
+        return None
+    found: Method = getattr(import_module(f"casacal.estimators.{METHODS[name]}"), name.replace("-", "_"))
+    return found
+
 
 RANDOM = ("annealing", "swarm", "evolution")
 """Methods that draw random numbers, to search a box of the geometry: that of effects beside it is too wide."""
@@ -114,11 +123,11 @@ def chosen(method: str | Method | None, loss: Loss | None) -> tuple[Method, str]
             fix = f"Give a name ({', '.join(METHODS)}) or a function of the least-squares problem"
             raise CasacalError(f"Got {came(method)} as the method", fix)
         run, name = method, str(getattr(method, "__name__", type(method).__name__)).replace("_", "-")
-    elif method in METHODS:
-        run, name = METHODS[method], method
+    elif (own := method_of(method)) is not None:
+        run, name = own, method
     else:
         raise UnknownNameError("method", method, METHODS)
-    if loss is not None and METHODS.get(name) is not run:
+    if loss is not None and method_of(name) is not run:
         fix = "Let it minimise problem.cost(x, loss) by itself, and leave the loss out here"
         raise CasacalError(f"The method '{name}' is a function of the problem alone, and takes no loss", fix)
     if loss is not None and name in NO_LOSS:
@@ -131,7 +140,7 @@ def estimate(
     run: Method, name: str, fit: BoundProblem, seed: int, loss: Loss | None, progress: Progress | None
 ) -> Result:
     """Run a method: casacal's own with what they understand, others with the problem alone."""
-    if METHODS.get(name) is not run:
+    if method_of(name) is not run:
         return _judged(as_result(run(fit), fit, name))
     # controls and the reference have nothing to report on the way
     options: dict[str, Any] = {"progress": progress} if name not in ("ipopt", "plane-only") else {}

@@ -1,5 +1,7 @@
 """Estimators: plain functions of a `LeastSquares`; one algorithm a file where it is long.
 
+Population methods and SciPy's are imported from their own modules, `population` and `scipy_least_squares`.
+
 Each returns a `Result`: x (n,), deviations from nominal in the units of `problem.units`, with its covariance (n, n).
 """
 
@@ -9,10 +11,6 @@ from casacal.estimators.ekf import ekf as ekf
 from casacal.estimators.ipopt import ipopt as ipopt
 from casacal.estimators.ipopt import nlpsol as nlpsol
 from casacal.estimators.lm import lm as lm
-from casacal.estimators.population import annealing as annealing
-from casacal.estimators.population import evolution as evolution
-from casacal.estimators.population import swarm as swarm
-from casacal.estimators.scipy_least_squares import scipy_least_squares as scipy_least_squares
 from casacal.estimators.sckf import sckf as sckf
 from casacal.estimators.sckf_lm import sckf_lm as sckf_lm
 from casacal.least_squares.result import nominal as nominal
