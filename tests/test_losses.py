@@ -22,7 +22,6 @@ from casacal import (
     swarm,
     tukey,
 )
-from casacal.calibration.given import METHODS
 from casacal.cli.main import main
 from casacal.estimators import nlpsol, sckf_lm
 from casacal.estimators.ipopt import Objective
@@ -206,7 +205,7 @@ def test_who_takes_no_loss_says_why_and_what_to_take(hsr, method, says):
 @pytest.mark.parametrize("name", SEARCHES)
 def test_a_calibration_by_search_has_the_loss(name, monkeypatch):
     small = partial(SEARCHES[name], budget=24_000)
-    monkeypatch.setattr("casacal.calibration.given.METHODS", {**METHODS, name: small})
+    monkeypatch.setattr(f"casacal.estimators.population.{name}", small)
     made = calibrate(*spoilt("hsr_jr680"), method=name, loss=huber(), reference=False)
     assert made.result.loss is not None
     assert made.cost == pytest.approx(written_out(made.fit, made.x, huber()), rel=1e-12)

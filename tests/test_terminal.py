@@ -258,12 +258,10 @@ def test_width_stays_within_reason(monkeypatch):
 
 
 def test_an_interruption_says_what_it_left_behind(capsys, monkeypatch):
-    import casacal.calibration.given as calibrating
-
     def stop(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setitem(calibrating.METHODS, "sckf-lm", stop)
+    monkeypatch.setattr(sys.modules["casacal.estimators.sckf_lm"], "sckf_lm", stop)
     assert call(capsys, "calibrate", HSR) == (130, "", "casacal: Interrupted. No file was left half-written.\n")
 
 

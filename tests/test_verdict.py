@@ -5,6 +5,7 @@ import json
 import math
 import re
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -359,9 +360,7 @@ def test_an_estimate_far_above_the_minimum_must_not_be_used(hsr, clean):
 
 
 def test_what_ended_badly_must_not_be_used(hsr, clean, monkeypatch):
-    import casacal.calibration.given as module
-
-    monkeypatch.setitem(module.METHODS, "lm", lambda fit, progress=None: casacal.lm(fit, max_steps=1))
+    monkeypatch.setattr(sys.modules["casacal.estimators.lm"], "lm", partial(casacal.lm, max_steps=1))
     stopped = calibrate(hsr.problem, clean.samples, method="lm")
     said = verdict_of(stopped)
     assert said.words == "Do not use this result: the method did not finish."
@@ -370,9 +369,7 @@ def test_what_ended_badly_must_not_be_used(hsr, clean, monkeypatch):
 
 def test_what_nothing_holds_is_named_so_that_it_can_be_held(hsr, clean, monkeypatch):
     """Flat priors: the plates choose the base frame, parallel axes share an offset, the last axis turns in itself."""
-    import casacal.calibration.given as module
-
-    monkeypatch.setitem(module.METHODS, "lm", lambda fit, progress=None: casacal.lm(fit, max_steps=40))
+    monkeypatch.setattr(sys.modules["casacal.estimators.lm"], "lm", partial(casacal.lm, max_steps=40))
     loose = hsr.problem.with_prior(dict.fromkeys(("alpha", "a", "d", "theta"), math.inf))
     said = verdict_of(calibrate(loose, clean.samples, method="lm", reference=False, discrepancy="none"))
     assert said.words == "Do not use this result: neither the samples nor a prior hold 5 combinations of parameters."
@@ -381,7 +378,7 @@ def test_what_nothing_holds_is_named_so_that_it_can_be_held(hsr, clean, monkeypa
     assert len(set(names)) == 5
     held = verdict_of(calibrate(loose.fix(*names), clean.samples, method="lm", reference=False, discrepancy="none"))
     assert held.level != "do not use"
-    monkeypatch.setitem(module.METHODS, "lm", lambda fit, progress=None: casacal.lm(fit, max_steps=1))
+    monkeypatch.setattr(sys.modules["casacal.estimators.lm"], "lm", partial(casacal.lm, max_steps=1))
     held_by_d3 = hsr.problem.with_prior({"d2": math.inf})  # their axes are parallel
     stopped = calibrate(held_by_d3, clean.samples, method="lm", reference=False, discrepancy="none")
     assert verdict_of(stopped).words == "Do not use this result: the method did not finish."
