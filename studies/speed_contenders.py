@@ -189,7 +189,7 @@ def checks(made: Case) -> Contenders:
 
     def by_casadi() -> object:
         v, w = ca.MX.sym("v", start.size), ca.DM(1 / rows.noise.T)
-        mapped = residual.map(n)(v[block.columns.tolist()], ca.DM(block.constants), ca.DM(block.data.T))
+        mapped = residual.map(n)(v[block.columns.tolist()], ca.DM(block.constants), ca.DM(rows.rows(slice(None)).T))
         prior = ca.dot(ca.DM(np.diagonal(bound.prior_information)), (bound.graph.local(v) - bound.x0) ** 2)
         program = {"x": v, "f": (ca.sumsqr(w * mapped) + prior) / 2, "g": bound.graph.constraints(v)}
         quiet = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.linear_solver": "mumps"}

@@ -169,7 +169,7 @@ def test_nobody_is_sent_to_a_check_that_was_asked(hsr, changes, asked, step, mon
         calls.append(given)
         return check(*given)
 
-    monkeypatch.setattr("casacal.calibration.calibration.check", counted)
+    monkeypatch.setattr("casacal.checks.check.check", counted)
     found = calibrate(hsr.problem, in_cell(hsr, **changes), reference=False)
     verdict = verdict_of(found)
     assert verdict.level == "use with care"
