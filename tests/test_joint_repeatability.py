@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from casacal import Joint, Problem, ProblemError, bind, calibrate, load, load_problem, simulate, verify
-from casacal.binding.noise_scale import OTHERS, REPEATABILITY, times
+from casacal.binding.bound_problem import OTHERS, REPEATABILITY, times
 from casacal.calibration.verdict import verdict_of
 from casacal.discrepancy import GearRipple, kit, with_kit
 from casacal.estimators import lm

@@ -12,7 +12,7 @@ from oracles import dh_chain
 from scipy.spatial.distance import pdist
 
 from casacal import Cell, DialOnPlane, Disturbances, Problem, TrackedPoint, bind, load_problem, simulate
-from casacal.binding.noise_scale import SHARED
+from casacal.binding.bound_problem import SHARED
 from casacal.cli.main import main
 from casacal.errors import SimulationError
 from casacal.simulation.cell import form_error

@@ -12,7 +12,6 @@ import numpy as np
 from casacal.array_types import Array, Index, Rows
 from casacal.binding.blocks import Block, make_block
 from casacal.binding.kernel_rows import FEW, KernelRows
-from casacal.binding.noise_scale import OTHERS, REPEATABILITY, SHARED
 from casacal.binding.nominal import surveys_of
 from casacal.binding.raw_graph import RawGraph
 from casacal.binding.slots import Slot, make_slots, nominals
@@ -36,6 +35,36 @@ if TYPE_CHECKING:
 
 COMPACT, HELD = 50_000, 10_000_000  # rows, and numbers of a whole Jacobian, beyond which none is held
 MOST_SUMS = 4_000_000  # numbers that the sums of all pieces may take: beyond, each piece sums what it sees alone
+
+
+OTHERS = ""  # stands for every face that is not named
+
+SHARED = "\0shared"
+"""Stands for the part of the noise's variance that repeated touches share; no label holds a zero byte."""
+
+REPEATABILITY = "\0joints"
+"""Stands for what joints do not repeat, rad (`PER_RAD` mm of a sliding one are one), on top of the rest."""
+
+
+def by_face(scale: Mapping[str, float]) -> dict[str, float]:
+    """The factors of faces alone."""
+    return {name: value for name, value in scale.items() if name not in (SHARED, REPEATABILITY)}
+
+
+def of_repeats(scale: Mapping[str, float]) -> dict[str, float]:
+    """What repeats share alone: the noise as it was stated, but for that."""
+    return {name: value for name, value in scale.items() if name == SHARED}
+
+
+def without_joints(scale: Mapping[str, float]) -> dict[str, float]:
+    """The same without what joints do not repeat."""
+    return {name: value for name, value in scale.items() if name != REPEATABILITY}
+
+
+def times(scale: Mapping[str, float], factor: float) -> dict[str, float]:
+    """All noise times another factor; what repeats share is a part of the noise and stays."""
+    found = {name: value if name == SHARED else value * factor for name, value in scale.items()}
+    return found if by_face(found) else {**found, OTHERS: factor}
 
 
 def bind(

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.noise_scale import OTHERS, REPEATABILITY
+from casacal.binding.bound_problem import OTHERS, REPEATABILITY, BoundProblem
 from casacal.binding.slots import make_slots
 from casacal.calibration.shifts import JOINTS, joint_direction, shift_columns, with_shifts
 from casacal.compensation.arm import CalibratedArm, all_motion, named_covariance, with_effects

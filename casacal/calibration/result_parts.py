@@ -15,12 +15,10 @@ from typing import Any
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.noise_scale import REPEATABILITY, without_joints
+from casacal.binding.bound_problem import REPEATABILITY, BoundProblem, without_joints
 from casacal.binding.slots import Slot
-from casacal.calibration.calibration import Calibration
+from casacal.calibration.calibration import Calibration, parts_of
 from casacal.calibration.given import Reference
-from casacal.calibration.metrics import parts_of
 from casacal.calibration.motion import besides, tip_error
 from casacal.calibration.told import columns_part, without_columns
 from casacal.compensation.as_data import problem_data

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casacal import wording
-from casacal.calibration.calibration import NOT_NEEDED, Calibration
-from casacal.calibration.metrics import parts_of
+from casacal.calibration.calibration import NOT_NEEDED, Calibration, parts_of
 from casacal.calibration.motion import tip_error
 from casacal.calibration.result_parts import parameter_rows
 from casacal.pages.drawing import fixed, mm, shortened, shown_unit

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casacal.calibration.calibration import FAR, Calibration
-from casacal.calibration.metrics import more_than_stated
+from casacal.calibration.calibration import FAR, Calibration, more_than_stated
 from casacal.calibration.motion import tip_extremes
 from casacal.uncertainty.discrepancy import at_most, errors_are_shared
 from casacal.uncertainty.joint_repeatability import is_usual, repeats_to

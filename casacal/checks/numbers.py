@@ -9,8 +9,7 @@ from functools import partial
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.binding.noise_scale import times
+from casacal.binding.bound_problem import BoundProblem, bind, times
 from casacal.binding.seen import Seen
 from casacal.checks.finding import Fault, Finding, Undone, freed_of_unknowns, quick_fit, weighted
 from casacal.errors import CasacalError

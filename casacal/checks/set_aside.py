@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casacal.array_types import Array, Index, Rows
-from casacal.binding.bound_problem import BoundProblem, bind, each_alone
-from casacal.binding.noise_scale import times
+from casacal.binding.bound_problem import BoundProblem, bind, each_alone, times
 from casacal.binding.nominal import nominal_sight, nominal_tips
 from casacal.checks.finding import Finding
 from casacal.errors import CasacalError, SamplesError

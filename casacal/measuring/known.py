@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.noise_scale import OTHERS
+from casacal.binding.bound_problem import OTHERS, BoundProblem
 from casacal.binding.slots import Slot, instances, make_slots
 from casacal.errors import ProblemError
 from casacal.estimators import lm

@@ -14,8 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.noise_scale import OTHERS, by_face, times
+from casacal.binding.bound_problem import OTHERS, BoundProblem, by_face, times
 from casacal.binding.seen import Seen, seen
 from casacal.binding.slots import Slot, make_slots
 from casacal.errors import CasacalError

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casacal.array_types import Array, Index
-from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.noise_scale import by_face
+from casacal.binding.bound_problem import BoundProblem, by_face
 from casacal.binding.slots import ENOUGH
 from casacal.instruments.description import Probe
 from casacal.problem.problem import Problem

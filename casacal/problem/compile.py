@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
 
@@ -63,8 +63,6 @@ class RowModel:
     """Direction of the plunger (3) in the base frame; None for an instrument without one."""
     raw_residual: ca.Function
     """(v, c, d) -> e (m) at raw coordinates v, for the IPOPT reference."""
-    _rows: dict[str, Kernels] = field(default_factory=dict, compare=False, repr=False)
-    _filters: dict[str, Cubature] = field(default_factory=dict, compare=False, repr=False)
 
     @cached_property
     def text(self) -> str:
@@ -89,6 +87,14 @@ class RowModel:
         if name not in self._filters:
             self._filters[name] = Cubature(self.residual, name)
         return self._filters[name]
+
+    @cached_property
+    def _rows(self) -> dict[str, Kernels]:
+        return {}
+
+    @cached_property
+    def _filters(self) -> dict[str, Cubature]:
+        return {}
 
     @cached_property
     def columns(self) -> SimpleNamespace:

@@ -10,8 +10,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.noise_scale import OTHERS, SHARED, by_face, of_repeats, times
+from casacal.binding.bound_problem import OTHERS, SHARED, BoundProblem, by_face, of_repeats, times
 from casacal.discrepancy.compliance import LinkSag
 from casacal.discrepancy.effect import Effect, effects_of
 from casacal.discrepancy.kit import with_kit, with_link_kit, with_rich_kit

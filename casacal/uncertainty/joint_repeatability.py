@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.noise_scale import OTHERS, REPEATABILITY, by_face, of_repeats
+from casacal.binding.bound_problem import OTHERS, REPEATABILITY, BoundProblem, by_face, of_repeats
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.least_squares.result import Result
 from casacal.samples.repeats import Repeats

@@ -15,8 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.noise_scale import OTHERS, SHARED
+from casacal.binding.bound_problem import OTHERS, SHARED, BoundProblem
 from casacal.estimators import lm
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.result import Result
