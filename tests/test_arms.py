@@ -323,3 +323,13 @@ def test_an_arm_without_a_nominal_length_is_refused_at_once():
     """What is measured against may be found from the rows, an arm's own numbers not."""
     with pytest.raises(ProblemError, match=r"parameter 'l' has no nominal value\. Give it the drawing's"):
         Robot("r", 1, lambda p, q: k.chain(k.rotate_z(q[0]), k.translate_x(p.l)), {"l": Parameter(None, unit="mm")})
+
+
+@pytest.mark.parametrize(("convention", "beside"), [("standard", (0.2, 0.3)), ("modified", (0.3, 0.4))])
+def test_the_second_angle_of_a_parallel_row_is_as_uncertain_as_the_twist_between_the_same_axes(convention, beside):
+    alpha = deg(90, 0, 0, 90) if convention == "standard" else deg(90, 90, 0, 0)
+    robot = Robot.from_dh(
+        "r", alpha=alpha, a=(100,) * 4, d=(50,) * 4, theta=(0,) * 4, parallel=(2, 3), convention=convention,
+        twist_std=(0.1, 0.2, 0.3, 0.4),
+    )  # fmt: skip
+    np.testing.assert_allclose(robot.parameters["beta"].prior_stds, beside)

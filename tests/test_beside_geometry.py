@@ -135,6 +135,9 @@ def test_a_calibration_says_it(hsr, tmp_path):
     listed = jsonable(calibration_document(found))["discrepancy"]["effects"]
     assert [each["key"] for each in listed] == [each.key for each in found.effect_sizes]
     assert listed[0]["shown"] is True
+    dial = calibration_document(found)["dial_errors"]
+    assert [(each["key"], each["shown"]) for each in dial] == [(each.key, each.shown) for each in found.dial_errors]
+    assert dial
     assert json.dumps(listed, allow_nan=False)
     told = summary(found, "hsr").split("Errors beside the geometry")[1]
     assert "Drift" in told.splitlines()[2]

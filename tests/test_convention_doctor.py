@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 from casacal import Conventions, Joint, Parameter, Robot, chain, deg
 from casacal.cli.main import main
 from casacal.doctor import PendantRows, diagnose, read_pendant_rows
-from casacal.doctor.search import axes_of
+from casacal.doctor.diagnosis import Meaning, further_pose
+from casacal.doctor.search import Halves, axes_of
 from casacal.doctor.words import diagnosis_text
 from casacal.errors import CasacalError, ProblemError, SamplesError
 from casacal.kinematics import rotate_x, rotate_z, translate_x, translate_z
@@ -444,3 +445,27 @@ def test_sliding_joints_and_quaternions_are_read(tmp_path):
     (tmp_path / "p.csv").write_text("q1_deg,q2_mm,x_m,y_m,z_m,qw,qx,qy,qz\n10,0.2,1,2,3,1,0,0,0\n")
     with pytest.raises(SamplesError, match="state different units"):
         read_pendant_rows(tmp_path / "p.csv", [True, False])
+
+
+def test_a_coupling_of_distant_joints_stands_alone():
+    """All readings of a small arm, one by one."""
+    halves = Halves.of(axes_of(robot_of(tuple(column[:3] for column in radians(TABLES["ur"])))))
+    left, right = halves.left.options, halves.right.options
+    pairs = np.stack(np.meshgrid(np.arange(len(left)), np.arange(len(right)), indexing="ij"), axis=-1).reshape(-1, 2)
+    found = halves._checked(pairs, np.zeros((1, 3)), np.zeros((1, 3)), math.inf)
+    partner = np.concatenate([left[pairs[:, 0]], right[pairs[:, 1]]], axis=1)[..., 2]
+    couplings = (partner >= 0).sum(axis=1)
+    distant = ((partner >= 0) & (partner != np.arange(3) - 1)).any(axis=1)
+    assert len(found) == int((~distant | (couplings == 1)).sum()) < len(pairs)
+    assert distant[couplings == 1].any()
+
+
+def test_what_no_posture_tells_apart_is_no_reason_against_one():
+    """The last joint does not move, so that its sign is nobody's business."""
+    robot = robot_of(radians(TABLES["ur"]))
+    still = replace(robot, joints=[*robot.axes[:5], replace(robot.axes[5], lower=-1e-9, upper=1e-9)])
+    axes = axes_of(still)
+    reading = np.tile(np.array([1, 0, -1, 0], dtype=np.int8), (6, 1))
+    meaning = Meaning((Conventions.plain(6),), reading, "deg", "mm", {}, 0.0)
+    found = further_pose(axes, still, [meaning], 1.0)
+    assert found.least_mm > 1 or found.least_rad > 1e-3

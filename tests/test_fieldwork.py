@@ -328,3 +328,24 @@ def test_all_of_it_from_the_command_line(tmp_path, capsys):
         assert main([*usual, *wrong]) == 2, wrong
         assert words in capsys.readouterr().err
         assert not out.exists(), wrong
+
+
+@pytest.mark.parametrize("radius", [40.0, 80.0])
+def test_links_keep_off_faces_unless_it_is_the_tool_that_touches(hsr, radius):
+    """A plate across the middle of each link in turn, and one a little further off than the link is thick."""
+    robot, joints = hsr.problem.robot, np.array([[0.2, -0.3, 0.4, 0.1, 0.3, 0.0]])
+    nodes = nodes_of(robot, joints)
+    tips = nodes[:, -1] + [0.0, 0.0, -150.0]
+    rods = np.concatenate([nodes, tips[:, None]], axis=1)[0]
+    keep = Clearance((), radius)
+    assert keep.clear(robot, None, joints, tips).all()
+    long = [k for k in range(len(rods) - 3) if np.linalg.norm(rods[k + 1] - rods[k]) > 500]
+    assert long
+    for k in long:
+        middle, along = (rods[k] + rods[k + 1]) / 2, rods[k + 1] - rods[k]
+        across = np.cross(along, [0.3, 1.0, 0.2]) / np.linalg.norm(np.cross(along, [0.3, 1.0, 0.2]))
+        for away, clear in ((0.5 * radius, False), (1.5 * radius, True)):
+            face = Face("plate", middle - away * across, across, size=(120.0, 120.0))
+            assert keep.clear(robot, Cell(faces=(face,)), joints, tips).tolist() == [clear], (k, away)
+    at_tool = Face("plate", tips[0], (0.0, 0.0, 1.0), size=(20.0, 20.0))
+    assert keep.clear(robot, Cell(faces=(at_tool,)), joints, tips).all()

@@ -16,6 +16,7 @@ from casacal.binding.bound_problem import SHARED
 from casacal.cli.main import main
 from casacal.errors import SimulationError
 from casacal.simulation.cell import form_error
+from casacal.simulation.faults import gross_errors
 
 WAVES = {1: 1e-4, 2: 5e-5, 100: 2e-5}
 
@@ -367,3 +368,13 @@ def test_repeats_that_share_noise_weigh_like_a_cluster(hsr):
     stated, shared = bound.block.noise, bound.with_noise({SHARED: 0.4}).block.noise
     correlated = np.full((3, 3), 0.4) + 0.6 * np.eye(3)
     np.testing.assert_allclose((shared / stated) ** 2 / 3, correlated.mean(), rtol=1e-12)
+
+
+def test_gross_errors_are_once_to_twice_the_size_of_an_outlier():
+    sizes = np.abs(gross_errors(Disturbances(outliers=0.99, outlier_size=0.5), 4000, np.random.default_rng(0)))
+    sizes = sizes[sizes > 0]
+    assert 0.5 <= sizes.min() < 0.51
+    assert 0.99 < sizes.max() <= 1.0
+    some = gross_errors(Disturbances(outliers=0.25, outlier_size=0.5), 4000, np.random.default_rng(0))
+    assert 0.2 < (some > 0).mean() + (some < 0).mean() < 0.3
+    assert min((some > 0).sum(), (some < 0).sum()) > 400

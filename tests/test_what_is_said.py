@@ -11,6 +11,7 @@ import pytest
 from conftest import ROOT
 
 from casacal import CasacalError, DialOnPlane, Problem, Session, calibrate, dial_zero, load_problem, plan
+from casacal.calibration import tables
 from casacal.calibration.brief import next_step
 from casacal.calibration.saved import SavedCalibration
 from casacal.calibration.verdict import verdict_of
@@ -223,3 +224,9 @@ def test_the_better_set_up_says_that_it_keeps_clear_of_nothing(tmp_path, capsys)
     assert "both ignore what must be kept clear of" in spoken(capsys).partition("touches: ")[0]
     assert main(asked) == 0
     assert "clear of" not in spoken(capsys)
+
+
+def test_directions_that_move_no_tip_are_listed_by_name(corner_calibration):
+    _, harmless = tables.directions(corner_calibration)
+    assert len(harmless) > 2
+    assert harmless == sorted(harmless)
