@@ -1,13 +1,22 @@
-"""Values: frozen dataclasses that compare, pickle and copy by their fields alone, with read-only arrays."""
+"""Values: frozen dataclasses that compare, pickle and copy by their fields alone; names of arrays in signatures."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
+
+Array: TypeAlias = NDArray[np.float64]
+"""Numbers."""
+Rows: TypeAlias = NDArray[np.bool_]
+"""Which rows: true or false for each."""
+Index: TypeAlias = NDArray[np.intp]
+"""Positions."""
+
 
 K = TypeVar("K")
 V = TypeVar("V")

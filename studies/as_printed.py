@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from casacal import BoundProblem, DialOnPlane, Problem, Run, bind, load_problem, plate, simulate
-from casacal.least_squares.linalg import tria
+from casacal.linalg import tria
 from casacal.uncertainty.figures import residual_figures
 from studies import reporting
 from studies.reporting import script

@@ -19,8 +19,8 @@ from casacal import (
     simulate,
     tool_point,
 )
-from casacal.tables.columns import Labels
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.data.columns import Labels
+from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 from studies.reporting import PROBLEMS
 
 SHIFT = 5.0

@@ -13,11 +13,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from casacal import Cell, ProblemFile, Run, calibrate, load_problem, simulate
-from casacal.calibration.fresh import with_memory
-from casacal.calibration.opened import opened
-from casacal.changes.explain import SURE, contenders, explanations
-from casacal.changes.look import Look
-from casacal.compensation.arm import CalibratedArm
+from casacal.calibration.fresh import opened, with_memory
+from casacal.changes.explain import SURE, Look, contenders, explanations
+from casacal.deployment.arm import CalibratedArm
 from casacal.simulation.simulate import simulate_one
 from casacal.simulation.touches import Draw
 from casacal.study.statistics import success_rate

@@ -26,9 +26,9 @@ from casacal import (
     plate,
     simulate,
 )
-from casacal.least_squares.linalg import posterior_covariance
+from casacal.linalg import posterior_covariance
 from casacal.uncertainty.identifiability import identifiability
-from casacal.uncertainty.workspace import (
+from casacal.uncertainty.tip_error import (
     bayesian_bound,
     conditional_scale_std,
     marginal_scale_std,

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from casacal import Method, Problem, Result, Run, Simulated, Study, lm, load_problem
-from casacal.calibration.warnings import NOISE_BAND
-from casacal.least_squares.losses import huber
+from casacal.calibration.verdict import NOISE_BAND
+from casacal.kernels.losses import huber
 from casacal.simulation.cell import flatness_din_876
 from casacal.simulation.trials import SimulatedTrial
 from casacal.study.statistics import mean_interval, paired, quantiles, success_rate

@@ -19,7 +19,7 @@ from casacal import BoundProblem, Cell, Method, Problem, Result, Run, Simulation
 from casacal import simulate as simulated
 from casacal.calibration.verdict import verdict_of
 from casacal.study.statistics import mean_interval
-from casacal.uncertainty.workspace import tip_rms, tip_stds, without_rigid, workspace_joints
+from casacal.uncertainty.tip_error import tip_rms, tip_stds, without_rigid, workspace_joints
 from studies.cell_mistakes import UPRIGHT, fit_for, robots
 from studies.reporting import figure, number, palette, percent, save, script, table
 

@@ -28,7 +28,7 @@ from casacal import (
     simulate,
     tool_point,
 )
-from casacal.kinematics import hayati
+from casacal.model.kinematics import hayati
 from casacal.simulation.trials import SimulatedTrial
 
 THRESHOLD = 1.345

@@ -17,7 +17,7 @@ import numpy as np
 from casacal import BoundProblem, Method, Result, Route, Run, Study, bind, lm, load_problem, plan
 from casacal.planning.candidates import pool_of
 from casacal.planning.route import FIT
-from casacal.uncertainty.expectation import expected_accuracy
+from casacal.uncertainty.tip_error import expected_accuracy
 from studies.reporting import PROBLEMS, figure, palette, save, script, table
 from studies.true_cell import World
 

@@ -18,10 +18,9 @@ import numpy as np
 from scipy.stats import norm
 
 from casacal import BoundProblem, Cell, Method, Problem, Result, Run, Study, bind, lm, load_problem, simulate
+from casacal.effects.selection import UNLIKELY, VERY_STRONG, dial_errors, effect_sizes_of, with_effects
 from casacal.study.statistics import Interval, success_rate
-from casacal.uncertainty.discrepancy import UNLIKELY, VERY_STRONG, dial_errors, effect_sizes_of, with_effects
-from casacal.uncertainty.joint_repeatability import repeats_to
-from casacal.uncertainty.noise import found_noise
+from casacal.uncertainty.noise import found_noise, repeats_to
 from studies.reporting import PROBLEMS, figure, palette, percent, save, script, table
 
 ARMS, ROWS, LEVEL = 100, 120, 0.05

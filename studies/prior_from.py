@@ -17,7 +17,7 @@ import numpy as np
 from casacal import ProblemFile, Run, bind, calibrate, load_problem, simulate
 from casacal.simulation.simulate import default_cell, simulate_one
 from casacal.simulation.touches import Draw
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 from studies import reporting
 from studies.reporting import script
 

@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from casacal import BoundProblem, Problem, Result, Run, Samples, Study, TrackedPoint, bind, lm, load_problem
-from casacal.least_squares.conditioned import Conditioned
-from casacal.samples.holdout import split
+from casacal.data.holdout import split
+from casacal.fit.least_squares import Conditioned
 from casacal.study.statistics import mean_interval, paired
 from casacal.uncertainty.figures import residual_figures
 from studies import rivals

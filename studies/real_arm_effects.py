@@ -33,12 +33,12 @@ from casacal import (
     calibrate,
     load_problem,
 )
-from casacal.binding.seen import ArmAlone
 from casacal.calibration.calibrated import Calibrated
 from casacal.calibration.verdict import verdict_of
-from casacal.samples.holdout import split
+from casacal.data.holdout import split
+from casacal.fit.seen import ArmAlone
 from casacal.study.statistics import mean_interval
-from casacal.uncertainty.workspace import rigid_fields, tip_stds
+from casacal.uncertainty.tip_error import rigid_fields, tip_stds
 from studies.real_arm import CONTACTS, DEFAULT, FOLDER, HELDOUT, SHIPPED, TRACKED, alike, skipped
 from studies.reporting import PROBLEMS, figure, palette, save, script, table
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from casacal import BoundProblem, Cell, Problem, Run, bind, lm, load_problem, plane_only, plate, simulate
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 from studies import reporting
 from studies.reporting import script
 from studies.starts import widened

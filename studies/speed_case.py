@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 
 from casacal import BoundProblem, DialOnPlane, Plane, Problem, bind, load_problem, sckf
+from casacal.data.samples import Samples
 from casacal.errors import ProblemError
 from casacal.kernels.libraries import load_library
-from casacal.samples.samples import Samples
-from casacal.unknowns.unknown import tangent_basis
+from casacal.model.unknown import tangent_basis
 from studies.reporting import PROBLEMS
 
 CANDIDATES = 100

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from casacal.problem.problem_file import load_problem
+from casacal.model.problem_file import load_problem
 from studies.reporting import PROBLEMS, table
 from studies.speed_case import arm_at_a_plane, touches
 

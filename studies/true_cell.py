@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal import Problem, Route, Samples, bind
-from casacal.instruments.description import readings_within
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.model.instrument import readings_within
+from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 
 Array = NDArray[np.float64]
 

@@ -29,8 +29,8 @@ import fuzz_seeds
 import numpy as np
 from seals import resealed_text
 
+from casacal.data.samples import Layout, Samples
 from casacal.errors import CasacalError
-from casacal.samples.samples import Layout, Samples
 
 SECONDS = 10.0
 MEMORY = 2 << 30

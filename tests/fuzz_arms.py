@@ -8,10 +8,10 @@ from oracles import dh_chain, rot_z
 from scipy.spatial.transform import Rotation
 
 from casacal import Robot, calibrate, load, load_problem
-from casacal.compensation.predict import joints_from
-from casacal.compensation.targets import read_targets
+from casacal.deployment.compensate import read_targets
+from casacal.deployment.export import dh_text
+from casacal.deployment.predict import joints_from
 from casacal.doctor import read_pendant_rows
-from casacal.export.forms import dh_text
 
 HSR = ROOT / "problems" / "hsr_jr680"
 NUMBERS = (

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 
 from casacal import Instrument, Parameter, Problem, Robot, bind
-from casacal.kinematics import translate_z
-from casacal.least_squares.objective import LeastSquares
-from casacal.samples.samples import Samples
+from casacal.data.samples import Samples
+from casacal.fit.least_squares import LeastSquares
+from casacal.model.kinematics import translate_z
 
 
 class Matrix(LeastSquares):

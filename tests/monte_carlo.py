@@ -6,7 +6,7 @@ import numpy as np
 
 from casacal import bind, ekf, ipopt, lm, load_problem, sckf, sckf_lm, simulate
 from casacal.uncertainty.figures import nees
-from casacal.uncertainty.workspace import bayesian_bound, tip_rms, tip_stds, without_rigid, workspace_joints
+from casacal.uncertainty.tip_error import bayesian_bound, tip_rms, tip_stds, without_rigid, workspace_joints
 
 METHODS = {"lm": lm, "sckf": sckf, "sckf_lm": sckf_lm, "ekf": ekf, "ipopt": ipopt}
 ROOT = Path(__file__).parent.parent

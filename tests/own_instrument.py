@@ -5,7 +5,7 @@ import casadi as ca
 from anchors import POST
 
 from casacal import Instrument, Parameter, Problem, Robot, deg
-from casacal.kinematics import position
+from casacal.model.kinematics import position
 
 
 class DrawWire(Instrument):
@@ -23,7 +23,7 @@ problem = Problem(Robot.from_dh("small", **ARM), DrawWire())
 
 STYLUS = '''"""A stylus that touches faces, each labelled, without a dial."""
 from casacal import Cell, Instrument, Plane, Problem, Robot, corner, deg
-from casacal.kinematics import position
+from casacal.model.kinematics import position
 
 
 class Stylus(Instrument):

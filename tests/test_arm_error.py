@@ -10,8 +10,7 @@ from conftest import ROOT
 from scipy.stats import binom, chi2
 
 from casacal import bind, load_problem, simulate
-from casacal.verification.arm_error import FEWEST, VisibleError, blocks
-from casacal.verification.decision import RISK, Scatter, decide
+from casacal.verification.arm_error import FEWEST, RISK, Scatter, VisibleError, blocks, decide
 
 # ------------------------------------------------------------------------------------------------ the rule itself
 

@@ -12,8 +12,8 @@ from robots_of_others import IIWA, ODD_URDF, PUMA_TOML, UR5_CSV, UR5_URDF
 from scipy.spatial.transform import Rotation
 
 from casacal import Conventions, Joint, Parameter, Robot, deg
-from casacal import kinematics as k
 from casacal.errors import ProblemError
+from casacal.model import kinematics as k
 
 RNG_POSES = 30
 

@@ -14,8 +14,8 @@ from instruments_on_ur5 import PROBLEMS
 
 from casacal import Samples, load_problem, simulate
 from casacal.cli.main import main
+from casacal.data.samples import write_samples
 from casacal.errors import CasacalError, StudyError, UnknownNameError
-from casacal.samples.samples import write_samples
 from casacal.study.benchmark import (
     bench_lines,
     benchmark,

@@ -12,11 +12,11 @@ from casacal import Problem, bind, calibrate, check, dial_cycle, dial_gain, lm, 
 from casacal.calibration.result_json import calibration_document
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
+from casacal.effects.selection import dial_errors, effect_sizes_of, with_effects
 from casacal.files import jsonable
-from casacal.least_squares.losses import huber
-from casacal.uncertainty.discrepancy import dial_errors, effect_sizes_of, with_effects
+from casacal.kernels.losses import huber
 from casacal.uncertainty.noise import found_noise
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 
 
 def faulty(source, fault, seed):

@@ -23,7 +23,7 @@ from casacal import (
     turntable,
 )
 from casacal.cli.main import main
-from casacal.discrepancy import LinkSag
+from casacal.effects import LinkSag
 
 TRACKER = TrackedPoint(noise_std=0.02, tool=tool_point(*TOOL, prior_std=1.0))
 ALONG = np.array([3.0, 4.0, 0.0]) / 5

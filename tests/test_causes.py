@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from casacal import DialOnPlane, Problem, calibrate, check, deg, load_problem, simulate, tool_point
+from casacal.calibration import faults as causes
+from casacal.calibration.faults import _Attempt, _looked_at_closely, _simplest, explained, tool_elsewhere
+from casacal.calibration.finding import Fault, Undone, misfit
 from casacal.calibration.verdict import verdict_of
-from casacal.checks import faults as causes
-from casacal.checks.faults import _Attempt, _looked_at_closely, _simplest, explained, tool_elsewhere
-from casacal.checks.finding import Fault, Undone, misfit
 from casacal.simulation.cell import Cell, Face
 from studies.cell_mistakes import PROBLEMS, planted, simulated
 

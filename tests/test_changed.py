@@ -24,12 +24,10 @@ from casacal import (
     simulate,
     tool_point,
 )
-from casacal.calibration.fresh import with_memory
-from casacal.calibration.opened import opened
-from casacal.changes.explain import Explanation, FittedCause, contenders, explanations
-from casacal.changes.look import AllTests, Cause, Look, row_bases
+from casacal.calibration.fresh import opened, with_memory
+from casacal.changes.explain import AllTests, Cause, Explanation, FittedCause, Look, contenders, explanations, row_bases
+from casacal.data.samples import joined
 from casacal.errors import SamplesError, UnknownNameError
-from casacal.samples.samples import joined
 from casacal.simulation.simulate import simulate_one
 from casacal.simulation.touches import Draw, default_cell
 from casacal.uncertainty.fresh_rows import FreshRows, chances, likelihood, occam, seen_basis

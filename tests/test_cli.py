@@ -153,7 +153,7 @@ def test_fixing_and_priors(run, tmp_path):
 def test_a_method_that_does_not_converge_exits_with_one(run, tmp_path, monkeypatch):
     from casacal import lm
 
-    own = sys.modules["casacal.estimators.lm"]
+    own = sys.modules["casacal.fit.lm"]
     monkeypatch.setattr(own, "lm", lambda fit, progress=None: lm(fit, max_steps=1))
     code, out, _ = run("calibrate", HSR, "--method", "lm")
     assert code == 1
@@ -282,7 +282,7 @@ def test_bad_problem_files_are_refused_in_one_line(run, tmp_path, name):
 
 SLIP = """import math, casadi as ca
 from casacal import DialOnPlane, Problem, Robot
-from casacal.kinematics import chain, rotate_z, translate_x
+from casacal.model.kinematics import chain, rotate_z, translate_x
 
 def pose(p, q):
     {line}
@@ -444,7 +444,7 @@ def test_help_imports_nothing_heavy():
 
 
 def test_the_parser_knows_the_methods_of_the_library():
-    from casacal.calibration.given import METHODS
+    from casacal.calibration.inputs import METHODS
 
     assert sorted(METHOD_NAMES) == sorted(METHODS)
 
@@ -453,7 +453,7 @@ def test_an_interruption_is_one_line(run, monkeypatch):
     def stop(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(sys.modules["casacal.estimators.lm"], "lm", stop)
+    monkeypatch.setattr(sys.modules["casacal.fit.lm"], "lm", stop)
     code, out, err = run("calibrate", HSR, "--method", "lm")
     assert (code, out) == (130, "")
     assert err.count("\n") == 1

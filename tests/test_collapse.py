@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from casacal import bind, lm, plate, simulate
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 
 PLATE = plate((1350.0, 0.0, 500.0))
 

@@ -5,13 +5,13 @@ import pytest
 from conftest import ROOT
 
 from casacal import Robot, load_problem
-from casacal.compensation.predict import joints_from
-from casacal.compensation.targets import read_targets
+from casacal.data.read import read_columns
+from casacal.data.samples import Layout, Samples
+from casacal.data.text import joined_tables, read_table
+from casacal.deployment.compensate import read_targets
+from casacal.deployment.predict import joints_from
 from casacal.doctor import read_pendant_rows
 from casacal.errors import ProblemError, SamplesError
-from casacal.samples.samples import Layout, Samples
-from casacal.tables.read import read_columns
-from casacal.tables.text import joined_tables, read_table
 
 HSR = ROOT / "problems" / "hsr_jr680"
 LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",))

@@ -20,18 +20,17 @@ from casacal import DialOnPlane, Joint, Parameter, Problem, Robot, calibrate, de
 from casacal.calibration.result_json import calibration_document
 from casacal.calibration.truth import write_simulation
 from casacal.cli.main import main
-from casacal.compensation.arm import CalibratedArm
-from casacal.compensation.compensate import compensate
-from casacal.compensation.inverse_kinematics import PosedArm
-from casacal.compensation.predict import predict, write_prediction
-from casacal.compensation.programs import KRL, RAPID, URSCRIPT, notes, text_of
-from casacal.compensation.result_file import read_result
-from casacal.compensation.targets import Outcome, Rounding, Targets, read_targets
+from casacal.data.samples import Samples
+from casacal.deployment.arm import CalibratedArm
+from casacal.deployment.compensate import Outcome, Rounding, Targets, compensate, read_targets
+from casacal.deployment.inverse_kinematics import PosedArm
+from casacal.deployment.predict import predict, write_prediction
+from casacal.deployment.programs import KRL, RAPID, URSCRIPT, notes, text_of
+from casacal.deployment.result_file import read_result
 from casacal.errors import CasacalError
 from casacal.files import write_json
-from casacal.kinematics import chain, rotate_z, translate_x
-from casacal.problem.problem_file import ProblemFile
-from casacal.samples.samples import Samples
+from casacal.model.kinematics import chain, rotate_z, translate_x
+from casacal.model.problem_file import ProblemFile
 
 SEEDS = range(6)
 

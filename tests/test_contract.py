@@ -9,7 +9,7 @@ from oracles import central_difference
 
 from casacal import bind, ekf, ipopt, lm, load_problem, plane_only, sckf, sckf_lm, simulate
 from casacal.uncertainty.identifiability import identifiability
-from casacal.uncertainty.workspace import workspace_joints
+from casacal.uncertainty.tip_error import workspace_joints
 
 FOLDERS = sorted(path.parent for path in (ROOT / "problems").glob("*/problem.py"))
 

@@ -19,8 +19,8 @@ from casacal.doctor.diagnosis import Meaning, further_pose
 from casacal.doctor.search import Halves, axes_of
 from casacal.doctor.words import diagnosis_text
 from casacal.errors import CasacalError, ProblemError, SamplesError
-from casacal.kinematics import rotate_x, rotate_z, translate_x, translate_z
-from casacal.robots.dh_table import dh_file_text, read_dh_file
+from casacal.model.dh_table import dh_file_text, read_dh_file
+from casacal.model.kinematics import rotate_x, rotate_z, translate_x, translate_z
 
 HSR = (ROOT / "problems" / "hsr_jr680").as_posix()
 QUARTER = math.pi / 2

@@ -30,15 +30,15 @@ from casacal.calibration import motion
 from casacal.calibration.motion import used_arm
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
-from casacal.compensation.result_file import sealed
-from casacal.discrepancy import Backlash, Drift, GravitySag, TransmissionError, kit
-from casacal.export.forms import export
+from casacal.data.holdout import FACES, REGIONS, splits
+from casacal.deployment.export import export
+from casacal.deployment.result_file import sealed
+from casacal.effects import Backlash, Drift, GravitySag, TransmissionError, kit
+from casacal.effects.selection import at_most, gains, in_sample_gains, times_found, with_effects
 from casacal.study.benchmark import left
-from casacal.uncertainty.discrepancy import at_most, times_found, with_effects
-from casacal.uncertainty.effect_sizes import NormalEquations, evidence
+from casacal.uncertainty.evidence import NormalEquations, evidence
 from casacal.uncertainty.noise import found_noise
-from casacal.uncertainty.transfer import FACES, REGIONS, gains, in_sample_gains, splits
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 from casacal.wording import mm
 
 UR5 = ROOT / "problems" / "ur5"

@@ -28,15 +28,14 @@ from casacal import (
     plate,
     simulate,
 )
-from casacal.calibration.brief import best_cure, brief, fall, nothing_helps
 from casacal.calibration.result_json import calibration_document
-from casacal.calibration.summary import summary
+from casacal.calibration.summary import best_cure, brief, fall, nothing_helps, summary
 from casacal.calibration.verdict import verdict_of
+from casacal.data.columns import Labels
+from casacal.data.samples import joined
 from casacal.planning.cures import NO_CURE, cures, extra_samples, outcomes
 from casacal.planning.offers import CalibratedCell, offers
-from casacal.samples.samples import joined
-from casacal.tables.columns import Labels
-from casacal.uncertainty.expectation import expected_accuracy, planned_accuracy
+from casacal.uncertainty.tip_error import expected_accuracy, planned_accuracy
 
 FLAT = Cell(faces=plate((1350.0, 0.0, 500.0)), tilt=0.0)
 KINDS = {

@@ -18,9 +18,9 @@ from casacal.calibration.calibration import Calibration
 from casacal.calibration.result_json import calibration_document
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
-from casacal.export.forms import export
+from casacal.data.samples import write_samples
+from casacal.deployment.export import export
 from casacal.files import jsonable
-from casacal.samples.samples import write_samples
 from casacal.values import alike
 from studies.cell_mistakes import PROBLEMS, simulated
 

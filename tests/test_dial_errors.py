@@ -29,7 +29,7 @@ from casacal import (
 )
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 
 
 def declaring(problem, gain=None, cycle=None, turn=1.0):

@@ -13,13 +13,13 @@ from conftest import ROOT
 
 import casacal
 from casacal import DialOnBody, DialOnPlane, Problem, calibrate, check, dial_zero, simulate
+from casacal.calibration.faults import zero_moved
 from casacal.calibration.verdict import verdict_of
-from casacal.checks.faults import zero_moved
 from casacal.cli.main import main
+from casacal.data.columns import Labels
+from casacal.data.samples import Samples
 from casacal.errors import ProblemError, SimulationError
-from casacal.samples.samples import Samples
-from casacal.tables.columns import Labels
-from casacal.uncertainty.workspace import without_rigid, workspace_joints
+from casacal.uncertainty.tip_error import without_rigid, workspace_joints
 
 HSR = ROOT / "problems" / "hsr_jr680"
 MIDDLE = (-5.0, 5.0)

@@ -12,14 +12,14 @@ import pytest
 from scipy.stats import chi2
 
 from casacal import CasacalError, bind, calibrate, huber, ipopt, lm, load, load_problem, sckf, sckf_lm, simulate, verify
-from casacal.binding.seen import moving, seen
 from casacal.cli.main import main
-from casacal.compensation.result_file import sealed
-from casacal.discrepancy import Backlash, Effect, FaceForm, JointField, ThermalGrowth, TransmissionError, kit, with_kit
-from casacal.discrepancy.effect import weighted
-from casacal.least_squares.objective import LeastSquares
-from casacal.uncertainty.effect_sizes import _objective, effect_sizes, told
-from casacal.uncertainty.workspace import tip_rms, tip_stds, without_rigid, workspace_joints
+from casacal.deployment.result_file import sealed
+from casacal.effects import Backlash, Effect, FaceForm, JointField, ThermalGrowth, TransmissionError, kit, with_kit
+from casacal.effects.effect import weighted
+from casacal.fit.least_squares import LeastSquares
+from casacal.fit.seen import moving, seen
+from casacal.uncertainty.evidence import _objective, effect_sizes, told
+from casacal.uncertainty.tip_error import tip_rms, tip_stds, without_rigid, workspace_joints
 
 ROOT = Path(__file__).parent.parent
 UR5 = ROOT / "problems" / "ur5"

@@ -10,13 +10,13 @@ import pytest
 from conftest import ROOT
 
 from casacal import Conventions, DialOnBody, DialOnPlane, Problem, Step, bind, check, deg, lm, load_problem, simulate
-from casacal.checks.before_fit import odd_labels, outside, tells_a_wrong_sign
-from casacal.checks.set_aside import studentised_outliers
+from casacal.calibration.before_fit import odd_labels, outside, tells_a_wrong_sign
+from casacal.calibration.set_aside import studentised_outliers
 from casacal.cli.common import number_or_range
 from casacal.cli.main import main
-from casacal.discrepancy import with_kit
-from casacal.samples.samples import write_samples
-from casacal.tables.columns import Labels
+from casacal.data.columns import Labels
+from casacal.data.samples import write_samples
+from casacal.effects import with_kit
 from casacal.uncertainty.figures import leverages
 
 REPLACE = dataclasses.replace
@@ -153,9 +153,9 @@ def test_many_rows_are_judged_as_few_are(hsr, corner_simulation, name, monkeypat
     plant = PLANTED[name][0] if name in PLANTED else lambda _, samples: samples
     samples = plant(hsr, corner_simulation.samples)
     expected = check(hsr.problem, samples)
-    monkeypatch.setattr(sys.modules["casacal.checks.check"], "SPREAD", 90)
+    monkeypatch.setattr(sys.modules["casacal.calibration.check"], "SPREAD", 90)
     monkeypatch.setattr("casacal.uncertainty.figures.TOGETHER", 25)
-    monkeypatch.setattr("casacal.checks.set_aside.JUDGES", 30)
+    monkeypatch.setattr("casacal.calibration.set_aside.JUDGES", 30)
     found = check(hsr.problem, samples)
     assert [(each.severity, each.about, each.lines) for each in found] == [
         (each.severity, each.about, each.lines) for each in expected

@@ -37,13 +37,12 @@ from casacal import (
     swarm,
 )
 from casacal.errors import ProblemError
-from casacal.estimators.ekf import linear_update
-from casacal.estimators.ipopt import Objective
-from casacal.estimators.lm import Damping, Move, Point, Shortest, acceptable, given_up, next_move
-from casacal.estimators.sckf import Belief, cubature_update, predict
-from casacal.least_squares.objective import DampedStep, Normal
-from casacal.least_squares.result import Status
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.fit.filters import Belief, cubature_update, linear_update, predict
+from casacal.fit.ipopt import Objective
+from casacal.fit.least_squares import DampedStep, Normal
+from casacal.fit.lm import Damping, Move, Point, Shortest, acceptable, given_up, next_move
+from casacal.fit.result import Status
+from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 
 ALL = {"lm": lm, "sckf": sckf, "sckf_lm": sckf_lm, "ekf": ekf, "ipopt": ipopt, "scipy": scipy_least_squares}
 

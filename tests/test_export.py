@@ -20,14 +20,13 @@ from test_arms import ODD_JOINTS, UR5_JOINTS, rot_y, xml_chain
 import casacal
 from casacal import load_problem, simulate
 from casacal.cli.main import main
-from casacal.compensation.arm import CalibratedArm, arm_values
-from casacal.compensation.result_file import read_result
-from casacal.export.controllers import ur_kinematics_text, urdf_text, zero_corrections, zeros_text
-from casacal.export.forms import dh_text
-from casacal.export.functions import c_text
+from casacal.deployment.arm import CalibratedArm, arm_values
+from casacal.deployment.export import dh_text, ur_kinematics_text, urdf_text, zero_corrections, zeros_text
+from casacal.deployment.functions import c_text
+from casacal.deployment.result_file import read_result
 from casacal.files import write_json
-from casacal.problem.new import new_from_dh, new_from_urdf
-from casacal.robots.urdf import read_urdf
+from casacal.model.new import new_from_dh, new_from_urdf
+from casacal.model.urdf import read_urdf
 
 PLAIN = "joint,alpha_deg,a_mm,d_mm,theta_deg\n"
 IIWA_CSV = "# convention: modified\n" + PLAIN
@@ -247,7 +246,7 @@ def test_what_zero_offsets_cannot_express_remains(place):
     result = made(place / "ur5", 4)
     found, v = zero_corrections(result), numbers(result)
     drawn = {row["name"]: row["nominal"] for row in result.document["parameters"]}
-    joints = casacal.uncertainty.workspace.workspace_joints(result.source.problem.robot)
+    joints = casacal.uncertainty.tip_error.workspace_joints(result.source.problem.robot)
     probe = np.array([[0, 0, 0, 1], [100, 0, 0, 1], [0, 100, 0, 1], [0, 0, 100, 1]]).T
 
     def misses(correction):
@@ -278,7 +277,7 @@ def test_who_follows_the_advice_on_zeros_brings_the_flange_nearer(place):
     assert "(1) subtract each correction from the joint values of every target" in text
     assert "at rest, each joint shows its value + correction" in text
     z = corrections_of(text)
-    targets = casacal.uncertainty.workspace.workspace_joints(result.source.problem.robot)[:100]
+    targets = casacal.uncertainty.tip_error.workspace_joints(result.source.problem.robot)[:100]
 
     def sent(commands):
         """Error of the flange (mm RMS) of an arm whose encoders go to these values."""
@@ -448,7 +447,7 @@ def call(function, sizes, *arguments):
 
 @pytest.mark.parametrize("name", ["ur5", "odd"])
 def test_c_agrees_with_python(place, compiled, name):
-    from casacal.export.functions import c_functions
+    from casacal.deployment.functions import c_functions
 
     result = made(place / name, 7)
     library = compiled(result, "arm")
@@ -547,8 +546,8 @@ def test_parallel_axes_never_give_absurd_lengths(place, calibrated, tmp_path, na
         return
     source = place / ("ur5.csv" if name == "ur5" else "puma.toml")
     text = dh_text(result, toml=source.suffix == ".toml")
-    table = casacal.robots.dh_table.read_dh_file(_written(tmp_path / source.name, text))
-    began = casacal.robots.dh_table.read_dh_file(source)
+    table = casacal.model.dh_table.read_dh_file(_written(tmp_path / source.name, text))
+    began = casacal.model.dh_table.read_dh_file(source)
     for key in ("a", "d"):
         assert np.abs(np.subtract(getattr(table, key), getattr(began, key))).max() < reach
     frames = dh_pose(numbers(result), np.zeros(6), parallel)[1]
@@ -614,7 +613,7 @@ def test_refusals_write_nothing(place, calibrated, tmp_path, monkeypatch, capsys
 def test_an_arm_of_ones_own_exports_what_needs_no_form(tmp_path):
     text = (
         "from casacal import DialOnPlane, Parameter, Plane, Problem, Robot, chain\n"
-        "from casacal.kinematics import rotate_z, translate_x\n\n\n"
+        "from casacal.model.kinematics import rotate_z, translate_x\n\n\n"
         "def pose(p, q):\n    return chain(rotate_z(q[0]), translate_x(p.l), rotate_z(q[1]), translate_x(300))\n\n\n"
         "robot = Robot('own', 2, pose, {'l': Parameter(400.0)})\n"
         "problem = Problem(robot, DialOnPlane(noise_std=0.01))\n"
@@ -634,7 +633,7 @@ def test_least_squares_agrees_on_zero_offsets_of_a_small_arm(tmp_path):
     result = made(new_from_dh("small", tmp_path / "small.csv", tmp_path)[0], 1)
     v = numbers(result)
     drawn = {row["name"]: row["nominal"] for row in result.document["parameters"]}
-    joints = casacal.uncertainty.workspace.workspace_joints(result.source.problem.robot)
+    joints = casacal.uncertainty.tip_error.workspace_joints(result.source.problem.robot)
     probe = np.array([[0, 0, 0, 1], [100, 0, 0, 1], [0, 100, 0, 1], [0, 0, 100, 1]]).T
 
     def misses(c):

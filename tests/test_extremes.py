@@ -31,10 +31,10 @@ from casacal import (
     load_problem,
     simulate,
 )
-from casacal.calibration.given import METHODS
+from casacal.calibration.inputs import METHODS
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
-from casacal.kinematics import position, rotate_z, translate_x
+from casacal.model.kinematics import position, rotate_z, translate_x
 
 HSR = ROOT / "problems" / "hsr_jr680"
 

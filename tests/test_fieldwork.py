@@ -13,14 +13,14 @@ from conftest import ROOT
 from casacal import Cell, Face, Problem, TrackedPoint, bind, load_problem, plan, simulate
 from casacal.cli.main import main
 from casacal.errors import CasacalError
-from casacal.fieldwork.handouts import approaches, program_text, sheet_page
+from casacal.model.links import nodes_of
+from casacal.model.robot import random_joints
 from casacal.planning.candidates import Clearance, near_face
 from casacal.planning.choice import Choice
+from casacal.planning.handouts import approaches, program_text, sheet_page
 from casacal.planning.plan import touches_for
 from casacal.planning.set_ups import set_ups
-from casacal.robots.links import nodes_of
-from casacal.robots.robot import random_joints
-from casacal.uncertainty.expectation import planned_accuracy
+from casacal.uncertainty.tip_error import planned_accuracy
 
 NAMES = ("hsr_jr680", "ur5", "kuka_iiwa14", "adept_cobra600")
 HSR, IIWA = (ROOT / "problems" / name for name in ("hsr_jr680", "kuka_iiwa14"))

@@ -12,16 +12,16 @@ from scipy.stats import t
 from test_scale import exact, raised_faces
 
 from casacal import Problem, Step, bind, calibrate, lm, simulate
-from casacal.checks.set_aside import studentised_outliers
+from casacal.calibration.set_aside import studentised_outliers
 from casacal.cli.common import adjusted
 from casacal.cli.main import main
-from casacal.least_squares.losses import huber
-from casacal.robots.robot import random_joints
-from casacal.samples.samples import write_samples
-from casacal.uncertainty.expectation import accuracy_in_box
+from casacal.data.samples import write_samples
+from casacal.kernels.losses import huber
+from casacal.model.robot import random_joints
 from casacal.uncertainty.figures import leverages
-from casacal.uncertainty.workspace import (
+from casacal.uncertainty.tip_error import (
     WORKSPACE_POSES,
+    accuracy_in_box,
     conditional_scale_std,
     marginal_scale_std,
     scale_direction,

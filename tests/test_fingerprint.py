@@ -11,7 +11,7 @@ import pytest
 from conftest import ROOT
 
 from casacal import Simulated, lm, swarm
-from casacal.least_squares.losses import huber
+from casacal.kernels.losses import huber
 from casacal.study.description import code_fingerprint, fingerprint
 
 FACTOR = 2.0

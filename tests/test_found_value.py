@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from casacal import calibrate, load
-from casacal.compensation.result import CalibrationResult, FaceNoise, Verdict, result_of
+from casacal.deployment.result import CalibrationResult, FaceNoise, Verdict, result_of
 
 
 @pytest.fixture(scope="module")

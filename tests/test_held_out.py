@@ -10,9 +10,9 @@ from conftest import ROOT
 from casacal import CasacalError, calibrate, simulate, verify
 from casacal.calibration.summary import summary
 from casacal.cli.main import main
+from casacal.data.holdout import split
 from casacal.errors import UnknownNameError
-from casacal.least_squares.losses import huber
-from casacal.samples.holdout import split
+from casacal.kernels.losses import huber
 
 
 @pytest.fixture(scope="module")

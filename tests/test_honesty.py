@@ -11,14 +11,15 @@ from conftest import ROOT
 from casacal import Parameter, Problem, bind, calibrate, lm, load_problem, simulate, tool_point
 from casacal.calibration.motion import tip_extremes
 from casacal.calibration.summary import summary
-from casacal.calibration.warnings import warnings
+from casacal.calibration.verdict import warnings
 from casacal.cli.main import main
 from casacal.errors import CasacalError, ProblemError
-from casacal.least_squares.losses import huber, tukey
-from casacal.uncertainty.expectation import accuracy_in_box, planned_accuracy
+from casacal.kernels.losses import huber, tukey
 from casacal.uncertainty.learned_priors import prior_tip_rms, scaled_to_accuracy
-from casacal.uncertainty.workspace import (
+from casacal.uncertainty.tip_error import (
+    accuracy_in_box,
     classical_bound,
+    planned_accuracy,
     tip_rms,
     tip_stds,
     up_to_base,

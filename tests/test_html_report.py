@@ -15,15 +15,14 @@ from page_reader import REFERENCES, Page, facts, tables
 
 import casacal
 from casacal import DialOnPlane, Plane, Problem, TrackedPoint, calibrate
-from casacal.calibration.page import report_page
-from casacal.calibration.page.expected import Workspace
-from casacal.calibration.page.touches import Touches
+from casacal.calibration.report import Workspace, report_page
+from casacal.calibration.report_pictures import Touches
 from casacal.calibration.result_json import calibration_document
 from casacal.calibration.tables import parameters
 from casacal.cli.main import main
-from casacal.least_squares.losses import huber
+from casacal.data.samples import Samples
+from casacal.kernels.losses import huber
 from casacal.pages.drawing import Panel, Scale, in_squares, nice_ceiling, tag, ticks
-from casacal.samples.samples import Samples
 
 HSR = ROOT / "problems" / "hsr_jr680"
 OPTIONS = ("--holdout", "0.25", "--seed", "1", "--box", "1000:1700,-400:400,400:1000")

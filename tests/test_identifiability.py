@@ -9,12 +9,11 @@ from conftest import ROOT
 
 from casacal import Cell, DialOnPlane, Face, Problem, bind, calibrate, corner, load_problem, plate, simulate
 from casacal.cli.main import main
-from casacal.least_squares.linalg import posterior_covariance
+from casacal.data.samples import write_samples
+from casacal.linalg import posterior_covariance
 from casacal.planning.cures import cure_for, cures
-from casacal.samples.samples import write_samples
-from casacal.uncertainty.expectation import classical_accuracy
 from casacal.uncertainty.identifiability import correlated_pairs, identifiability, known_from, prior_scale, sparse_basis
-from casacal.uncertainty.workspace import workspace_joints
+from casacal.uncertainty.tip_error import classical_accuracy, workspace_joints
 
 CENTRE = (1350.0, 0.0, 700.0)
 FLAT = plate((1350.0, 0.0, 500.0))

@@ -14,27 +14,14 @@ from conftest import ROOT
 from own_instrument import written
 
 import casacal
-from casacal import (
-    CasacalError,
-    Problem,
-    Result,
-    Samples,
-    calibrate,
-    huber,
-    lm,
-    load,
-    load_problem,
-    simulate,
-    tukey,
-)
-from casacal.calibration.given import METHODS, method_of
+from casacal import CasacalError, Problem, Result, Samples, calibrate, huber, lm, load, load_problem, simulate, tukey
+from casacal.calibration.inputs import METHODS, method_of
 from casacal.cli.main import main
-from casacal.compensation.predict import predict
-from casacal.compensation.result_file import read_result
-from casacal.export.controllers import ur_kinematics_text, urdf_text, zero_corrections, zeros_text
-from casacal.export.forms import dh_text, export
-from casacal.export.functions import c_text, pose_function, tip_function, values_of
-from casacal.export.remark import remark
+from casacal.deployment.export import dh_text, export, ur_kinematics_text, urdf_text, zero_corrections, zeros_text
+from casacal.deployment.functions import c_text, pose_function, tip_function, values_of
+from casacal.deployment.predict import predict
+from casacal.deployment.remark import remark
+from casacal.deployment.result_file import read_result
 
 Q = np.array([[0.1, -0.4, 0.3, 0.2, 0.9, 0.1], [0.3, -0.2, 0.1, -0.5, 0.7, -0.2]])
 
@@ -259,9 +246,9 @@ def test_targets_come_in_any_form(found):
         (lambda c: c.predict(object()), "Got an object as joint values"),
         (lambda c: c.predict(pd.DataFrame({"q1": [1.0]})), "no unit"),
         (lambda c: c.predict(Q, nominal=True, std=True), "no standard deviation"),
-        (lambda c: c.compensate(np.ones((2, 4, 4))), "no rotation"),
+        (lambda c: c.compensate(np.ones((2, 4, 4))), "rotation matrix is not orthonormal"),
         (lambda c: c.compensate(np.ones((2, 3, 3))), "shape"),
-        (lambda c: c.compensate(np.diag([1.0, 1.0, -1.0, 1.0])), "no rotation"),
+        (lambda c: c.compensate(np.diag([1.0, 1.0, -1.0, 1.0])), "rotation matrix is not orthonormal"),
         (lambda c: c.predict(Q, frame="Tip"), "no frame named 'Tip'"),
         (lambda c: c.compensate(Q, frame="zz"), "no frame named 'zz'"),
         (lambda c: c.export("stl"), "no form named 'stl'"),

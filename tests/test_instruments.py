@@ -29,11 +29,11 @@ from casacal import (
     tool_point,
 )
 from casacal.cli.main import main
-from casacal.compensation.as_data import problem_from
-from casacal.tables.columns import Labels
+from casacal.data.columns import Labels
+from casacal.deployment.as_data import problem_from
+from casacal.model.geometry import rigid_fit
 from casacal.uncertainty.figures import nees
-from casacal.uncertainty.workspace import bayesian_bound, tip_rms, without_rigid, workspace_joints
-from casacal.unknowns.geometry import rigid_fit
+from casacal.uncertainty.tip_error import bayesian_bound, tip_rms, without_rigid, workspace_joints
 
 STILL = Disturbances(resolution=0.0, repeatability=0.0, error_scale=0.0)
 JOINTS = workspace_joints(ROBOT)

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from casacal import Joint, Problem, ProblemError, bind, calibrate, load, load_problem, simulate, verify
-from casacal.binding.bound_problem import OTHERS, REPEATABILITY, times
 from casacal.calibration.verdict import verdict_of
-from casacal.discrepancy import GearRipple, kit, with_kit
-from casacal.estimators import lm
-from casacal.least_squares.linalg import posterior_covariance
-from casacal.uncertainty import discrepancy
-from casacal.uncertainty.discrepancy import _Linear
-from casacal.uncertainty.effect_sizes import told
-from casacal.uncertainty.joint_repeatability import joints_err
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.effects import GearRipple, kit, with_kit
+from casacal.effects import selection as discrepancy
+from casacal.effects.selection import _Linear
+from casacal.fit.bound_problem import OTHERS, REPEATABILITY, times
+from casacal.fit.lm import lm
+from casacal.linalg import posterior_covariance
+from casacal.uncertainty.evidence import told
+from casacal.uncertainty.noise import joints_err
+from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 
 ROOT = Path(__file__).parent.parent
 TRUE = 20e-6

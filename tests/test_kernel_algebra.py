@@ -15,7 +15,7 @@ from casacal import chain, dh
 from casacal.kernels import native_rows as c_source
 from casacal.kernels.block_rows import BlockKernels, Columnwise, CurvatureKernel
 from casacal.kernels.program import evaluate, read_program
-from casacal.kinematics import transform_point
+from casacal.model.kinematics import transform_point
 
 C_FILES = sorted(each.name for each in (resources.files("casacal.kernels") / "c").iterdir())
 

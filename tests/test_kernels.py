@@ -18,8 +18,8 @@ from casacal.errors import ProblemError
 from casacal.kernels import backend as backends
 from casacal.kernels import libraries
 from casacal.kernels.backend import row_kernels
+from casacal.kernels.losses import huber
 from casacal.kernels.program import NUMPY, C, evaluate, name_of, read_program
-from casacal.least_squares.losses import huber
 
 HAS_COMPILER = any(shutil.which(name) for name in ("gcc", "clang", "cc"))
 BACKENDS = ["blocks", pytest.param("c", marks=pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler"))]

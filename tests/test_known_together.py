@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from casacal import bind
-from casacal.binding.seen import ArmAlone
-from casacal.discrepancy import with_kit
-from casacal.estimators import ekf, ipopt, lm, sckf_lm
-from casacal.estimators.scipy_least_squares import scipy_least_squares
-from casacal.least_squares.conditioned import Conditioned
-from casacal.least_squares.gaussian import Gaussian
-from casacal.samples.samples import joined
+from casacal.data.samples import joined
+from casacal.effects import with_kit
+from casacal.fit.controls import scipy_least_squares
+from casacal.fit.filters import ekf, sckf_lm
+from casacal.fit.ipopt import ipopt
+from casacal.fit.least_squares import Conditioned, Gaussian
+from casacal.fit.lm import lm
+from casacal.fit.seen import ArmAlone
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,11 @@ import pandas as pd
 import pytest
 
 from casacal import bind
+from casacal.data.columns import Labels, combinations
+from casacal.data.read import read_columns
+from casacal.data.samples import Layout, Samples
+from casacal.data.text import read_table
 from casacal.errors import SamplesError
-from casacal.samples.samples import Layout, Samples
-from casacal.tables.columns import Labels, combinations
-from casacal.tables.read import read_columns
-from casacal.tables.text import read_table
 
 LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",))
 ROWS = 3000

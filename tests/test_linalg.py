@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from casacal.least_squares.linalg import (
+from casacal.linalg import (
     correlation,
     damped_solution,
     downdated,

@@ -24,8 +24,8 @@ from casacal import (
     simulate,
     tool_point,
 )
-from casacal.discrepancy import GravitySag, LinkSag, with_kit
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.effects import GravitySag, LinkSag, with_kit
+from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 
 MASSES = (3.7, 8.4, 2.3, 1.2, 1.2, 0.2)
 GIVE = np.array([0.0, 40.0, 60.0, 150.0, 200.0, 300.0]) * 1e-6

@@ -23,12 +23,12 @@ from casacal import (
     tukey,
 )
 from casacal.cli.main import main
-from casacal.estimators import nlpsol, sckf_lm
-from casacal.estimators.ipopt import Objective
-from casacal.estimators.population import Search
-from casacal.least_squares.losses import worth_under
+from casacal.fit.filters import sckf_lm
+from casacal.fit.ipopt import Objective, nlpsol
+from casacal.fit.population import Search
+from casacal.kernels.losses import worth_under
 from casacal.study.trial import Metered
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 
 LOSSES = [huber(), tukey(4.0)]
 SEARCHES = {"annealing": annealing, "swarm": swarm, "evolution": evolution}
@@ -205,7 +205,7 @@ def test_who_takes_no_loss_says_why_and_what_to_take(hsr, method, says):
 @pytest.mark.parametrize("name", SEARCHES)
 def test_a_calibration_by_search_has_the_loss(name, monkeypatch):
     small = partial(SEARCHES[name], budget=24_000)
-    monkeypatch.setattr(f"casacal.estimators.population.{name}", small)
+    monkeypatch.setattr(f"casacal.fit.population.{name}", small)
     made = calibrate(*spoilt("hsr_jr680"), method=name, loss=huber(), reference=False)
     assert made.result.loss is not None
     assert made.cost == pytest.approx(written_out(made.fit, made.x, huber()), rel=1e-12)

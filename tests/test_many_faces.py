@@ -7,22 +7,14 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from casacal import (
-    ProblemError,
-    bind,
-    calibrate,
-    lm,
-    load,
-    load_problem,
-    simulate,
-)
-from casacal.binding.seen import seen
+from casacal import ProblemError, bind, calibrate, lm, load, load_problem, simulate
+from casacal.calibration.check import _few_of_each_face
 from casacal.calibration.verdict import verdict_of
-from casacal.checks.check import _few_of_each_face
-from casacal.estimators.ipopt import Objective
-from casacal.least_squares.linalg import determined
+from casacal.effects.selection import with_effects
+from casacal.fit.ipopt import Objective
+from casacal.fit.seen import seen
+from casacal.linalg import determined
 from casacal.planning.cures import cures
-from casacal.uncertainty.discrepancy import with_effects
 from casacal.uncertainty.figures import leverages, noise_interval
 
 
@@ -132,7 +124,7 @@ def test_dozens_of_faces_and_the_effects_of_any_arm():
 
 def test_declared_effects_are_taken_out_with_their_own_priors(hsr, samples):
     """By the Schur complement; faces stand before effects, so that places among those kept are none in x."""
-    from casacal.discrepancy import GearRipple, GravitySag, kit
+    from casacal.effects import GearRipple, GravitySag, kit
 
     effects = [each for each in kit() if not isinstance(each, (GearRipple, GravitySag))]
     bound = bind(hsr.problem.with_terms(*effects), samples)

@@ -19,12 +19,12 @@ from measured_world import World
 
 from casacal import CasacalError, Instrument, Parameter, Problem, load_problem, plan, read_route
 from casacal.cli.main import main
-from casacal.kinematics import position
-from casacal.measuring.conversation import answered, command_of, help_words, posture, touch_of
-from casacal.measuring.gauges import HOLD, LONGEST, QUIET, Entry, Inbox, SerialLine, gauge
-from casacal.measuring.session import Session
-from casacal.measuring.touch import Touch, TouchFile
+from casacal.model.kinematics import position
 from casacal.planning.plan import plan_text, write_plan
+from casacal.shopfloor.conversation import answered, command_of, help_words, posture, touch_of
+from casacal.shopfloor.gauges import HOLD, LONGEST, QUIET, Entry, Inbox, SerialLine, gauge
+from casacal.shopfloor.session import Session
+from casacal.shopfloor.touch import Touch, TouchFile
 
 pty = pytest.importorskip("pty")
 HSR = ROOT / "problems" / "hsr_jr680"

@@ -18,7 +18,7 @@ from casacal import (
     simulate,
     tool_point,
 )
-from casacal.discrepancy import Backlash, TorqueCompliance
+from casacal.effects import Backlash, TorqueCompliance
 
 GIVE = np.array([60.0, 120.0, 90.0, 200.0, 250.0, 300.0]) * 1e-6
 NAMES = tuple(f"torque{j}_Nm" for j in range(1, 7))

@@ -14,12 +14,12 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2, multivariate_normal
 
 from casacal import CasacalError, Session, bind, lm, load_problem, plan
-from casacal.measuring.conversation import ended
-from casacal.measuring.known import LinearRows, _fitted, error_below, spectrum
-from casacal.measuring.touch import Touch, rows_of, slips_of
+from casacal.model.links import nodes_of
 from casacal.planning.candidates import Clearance
-from casacal.robots.links import nodes_of
-from casacal.uncertainty.expectation import expected_accuracy
+from casacal.shopfloor.conversation import ended
+from casacal.shopfloor.known import LinearRows, _fitted, error_below, spectrum
+from casacal.shopfloor.touch import Touch, rows_of, slips_of
+from casacal.uncertainty.tip_error import expected_accuracy
 
 UR5, SCARA = (ROOT / "problems" / name for name in ("ur5", "adept_cobra600"))
 
@@ -72,7 +72,7 @@ def test_a_covariance_short_of_positive_is_a_belief_all_the_same(late, monkeypat
     with pytest.raises(np.linalg.LinAlgError):
         np.linalg.cholesky(flat)
     short = SimpleNamespace(x=found.x, covariance=flat * np.outer(bound.start_std, bound.start_std))
-    monkeypatch.setattr("casacal.measuring.known.lm", lambda _: short)
+    monkeypatch.setattr("casacal.shopfloor.known.lm", lambda _: short)
     root = _fitted(bound).root
     np.testing.assert_allclose(root @ root.T, flat, atol=1e-12)
 

@@ -7,8 +7,8 @@ import pandas as pd
 from oracles import dh_chain
 
 from casacal import DialOnPlane, Joint, Parameter, Plane, Problem, Robot, TrackedPoint, bind, chain, ipopt, lm, sckf_lm
-from casacal.kinematics import rotate_z, translate_x
-from casacal.samples.samples import Samples
+from casacal.data.samples import Samples
+from casacal.model.kinematics import rotate_z, translate_x
 
 
 def test_a_planar_two_link_arm_on_lines():

@@ -14,7 +14,7 @@ from oracles import posterior
 from casacal import CasacalError, Method, Simulated, Status, Study, calibrate, huber, lm, nlpsol
 from casacal.cli.main import main
 from casacal.errors import ProblemError
-from casacal.estimators.ipopt import Objective, _program
+from casacal.fit.ipopt import Objective, _program
 from casacal.study.trial import Task, perform
 
 SOLVERS = [

@@ -9,14 +9,13 @@ import pytest
 from conftest import ROOT
 
 from casacal import CasacalError, LeastSquares, Problem, bind, calibrate, huber, lm, simulate
-from casacal.calibration.brief import next_step
-from casacal.calibration.summary import summary
+from casacal.calibration.summary import next_step, summary
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
-from casacal.least_squares.linalg import determined
-from casacal.samples.repeats import copies_of
-from casacal.samples.samples import Samples, write_samples
-from casacal.tables.columns import Labels
+from casacal.data.columns import Labels
+from casacal.data.repeats import copies_of
+from casacal.data.samples import Samples, write_samples
+from casacal.linalg import determined
 from casacal.uncertainty.figures import effective_unknowns, leverages, noise_interval
 from casacal.uncertainty.noise import found_noise
 
@@ -287,7 +286,7 @@ def test_repeats_that_do_not_scatter_tell_nothing_of_scatter(hsr, corner_simulat
 @pytest.mark.parametrize("collide", [False, True])
 def test_copies_are_the_same_to_the_last_digit_and_on_the_same_face(corner_simulation, collide, monkeypatch):
     if collide:  # one number for all rows: then values alone tell, of copies of the first row
-        monkeypatch.setattr("casacal.samples.repeats._keys", lambda count, _: np.zeros(count, dtype=np.int64))
+        monkeypatch.setattr("casacal.data.repeats._keys", lambda count, _: np.zeros(count, dtype=np.int64))
     samples = corner_simulation.samples.take([0, 1, 0, 0, 0, 1, 0])
     joints, reading = samples.joints.copy(), samples.columns["reading"].copy()
     joints[3, 5] = np.nextafter(joints[3, 5], 9)

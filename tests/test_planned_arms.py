@@ -14,9 +14,9 @@ from planned_arms import ARMS
 
 from casacal import CasacalError, Cell, Face, Parameter, Robot, SimulationError, chain, corner, load_problem, plan
 from casacal.cli.main import main
-from casacal.kinematics import translate_x
+from casacal.model.kinematics import translate_x
+from casacal.model.links import above_table
 from casacal.planning.candidates import Clearance
-from casacal.robots.links import above_table
 from casacal.simulation.cell import Disturbances
 from casacal.simulation.touches import default_cell
 

@@ -13,15 +13,22 @@ from instruments_on_ur5 import PROBLEMS
 
 from casacal import CasacalError, bind, calibrate, load_problem, simulate
 from casacal.cli.main import main
-from casacal.least_squares.linalg import posterior_covariance
+from casacal.linalg import posterior_covariance
+from casacal.model.robot import AXIS_WEIGHT
 from casacal.planning.candidates import pool_of
 from casacal.planning.choice import Choice
 from casacal.planning.plan import kept_to_verify, plan, plan_text, touches_for
 from casacal.planning.route import AGAIN, CHECK, FIT, read_route, shortest_way
 from casacal.planning.set_ups import SetUp, worth_most
-from casacal.robots.robot import AXIS_WEIGHT
-from casacal.uncertainty.expectation import accuracy_in_box, planned_accuracy
-from casacal.uncertainty.workspace import tip_rms, tip_stds, up_to_base, without_rigid, workspace_joints
+from casacal.uncertainty.tip_error import (
+    accuracy_in_box,
+    planned_accuracy,
+    tip_rms,
+    tip_stds,
+    up_to_base,
+    without_rigid,
+    workspace_joints,
+)
 
 HSR = ROOT / "problems" / "hsr_jr680"
 

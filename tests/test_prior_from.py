@@ -30,17 +30,17 @@ from casacal import (
     tool_point,
     verify,
 )
-from casacal.calibration.shifts import JOINTS, joint_direction, shift_columns, with_shifts
+from casacal.calibration.fresh import JOINTS, joint_direction, shift_columns, with_shifts
 from casacal.cli.main import main
-from casacal.estimators import lm, sckf
+from casacal.data.samples import write_samples
 from casacal.files import write_json
-from casacal.least_squares.gaussian import Gaussian
-from casacal.least_squares.losses import huber
-from casacal.least_squares.objective import LeastSquares
-from casacal.samples.samples import write_samples
+from casacal.fit.filters import sckf
+from casacal.fit.least_squares import Gaussian, LeastSquares
+from casacal.fit.lm import lm
+from casacal.kernels.losses import huber
 from casacal.simulation.simulate import simulate_one
 from casacal.simulation.touches import Draw
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 
 HSR = str(ROOT / "problems" / "hsr_jr680")
 

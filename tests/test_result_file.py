@@ -23,11 +23,10 @@ from test_own_instrument import written
 import casacal
 from casacal import CasacalError, calibrate, load, load_problem, simulate
 from casacal.cli.main import main
-from casacal.compensation.as_data import KINDS, problem_data, problem_from
-from casacal.compensation.document import misfits, schema_text
-from casacal.compensation.result import Level
-from casacal.compensation.result_file import SCHEMA, read_result
-from casacal.graphs import graph_data, graph_from
+from casacal.deployment.as_data import KINDS, problem_data, problem_from
+from casacal.deployment.result import Level
+from casacal.deployment.result_file import SCHEMA, misfits, read_result, schema_text
+from casacal.kernels.program import graph_data, graph_from
 
 PROBLEMS = ("hsr_jr680", "ur5", "kuka_iiwa14", "adept_cobra600", "motoman_ma1400")
 URDF = """<robot name="arm">
@@ -74,8 +73,8 @@ def test_formats_that_an_arm_does_not_use_are_not_loaded():
     code = (
         "import sys\nfrom casacal import calibrate\n"
         "from casacal.calibration import result_json\n"
-        "from casacal.compensation.as_data import problem_data, problem_from\n"
-        "from casacal.problem.problem_file import load_problem\n"
+        "from casacal.deployment.as_data import problem_data, problem_from\n"
+        "from casacal.model.problem_file import load_problem\n"
         f"problem_from(problem_data(load_problem({str(ROOT / 'problems' / 'hsr_jr680')!r}).problem))\n"
         "print(*sorted({'instruments.points', 'instruments.tracked_pose'} & "
         "{name.removeprefix('casacal.') for name in sys.modules}))\n"

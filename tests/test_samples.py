@@ -9,8 +9,8 @@ import pytest
 from conftest import ROOT
 
 from casacal import calibrate
+from casacal.data.samples import Layout, Samples, write_samples
 from casacal.errors import SamplesError
-from casacal.samples.samples import Layout, Samples, write_samples
 
 LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",), {"force": "no force is measured"})
 GOOD = """# a comment

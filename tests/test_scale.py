@@ -23,12 +23,12 @@ from casacal import (
     scaled_to_accuracy,
     simulate,
 )
+from casacal.calibration.numbers import SCALE, wrong_scale
 from casacal.calibration.verdict import verdict_of
-from casacal.checks.numbers import SCALE, wrong_scale
 from casacal.errors import ProblemError
-from casacal.instruments.dial import DialOnBody
-from casacal.uncertainty.common_scale import common_scale
-from casacal.uncertainty.workspace import bayesian_bound, conditional_scale_std, marginal_scale_std, workspace_joints
+from casacal.model.dial import DialOnBody
+from casacal.uncertainty.moves import common_scale
+from casacal.uncertainty.tip_error import bayesian_bound, conditional_scale_std, marginal_scale_std, workspace_joints
 
 
 def exact(hsr, instrument, faces, travel, samples):

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from casacal import CasacalError, calibrate, huber, load_problem
 from casacal.calibration.summary import _most
-from casacal.uncertainty.workspace import tip_rms, without_rigid
+from casacal.uncertainty.tip_error import tip_rms, without_rigid
 
 
 def refitted(fit, start, *, prior=None, added=None, rows=None):

@@ -34,15 +34,14 @@ from casacal import (
 )
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
-from casacal.compensation.arm import covariance_of
-from casacal.compensation.as_data import problem_data, problem_from
-from casacal.compensation.predict import predict
-from casacal.compensation.seen_by import seen_by
+from casacal.deployment.arm import covariance_of, seen_by
+from casacal.deployment.as_data import problem_data, problem_from
+from casacal.deployment.predict import predict
+from casacal.deployment.remark import remark
 from casacal.errors import UnknownNameError
-from casacal.export.remark import remark
 from casacal.uncertainty.figures import nees
 from casacal.uncertainty.learned_priors import prior_tip_rms, scaled_to_accuracy
-from casacal.uncertainty.workspace import bayesian_bound, tip_rms, without_rigid, workspace_joints
+from casacal.uncertainty.tip_error import bayesian_bound, tip_rms, without_rigid, workspace_joints
 
 SOURCE = "from three_instruments import problem, CELL\n\ncell = CELL\n"
 

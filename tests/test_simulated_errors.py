@@ -12,9 +12,9 @@ from oracles import dh_chain
 from scipy.spatial.distance import pdist
 
 from casacal import Cell, DialOnPlane, Disturbances, Problem, TrackedPoint, bind, load_problem, simulate
-from casacal.binding.bound_problem import SHARED
 from casacal.cli.main import main
 from casacal.errors import SimulationError
+from casacal.fit.bound_problem import SHARED
 from casacal.simulation.cell import form_error
 from casacal.simulation.faults import gross_errors
 

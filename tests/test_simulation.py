@@ -34,7 +34,7 @@ from casacal import (
     tool_point,
 )
 from casacal.errors import SimulationError
-from casacal.kinematics import rotate_z, translate_x
+from casacal.model.kinematics import rotate_z, translate_x
 from casacal.simulation.bench import Bench
 from casacal.simulation.cell import flatness_din_876, form_error
 from casacal.simulation.touches import default_cell

@@ -25,8 +25,8 @@ from casacal import (
     simulate,
     verify,
 )
-from casacal.kinematics import position, rotation, transform_point
-from casacal.unknowns import Unknown
+from casacal.model.kinematics import position, rotation, transform_point
+from casacal.model.unknown import Unknown
 
 POINT = ("_x", "_y", "_z")
 

@@ -9,10 +9,10 @@ import pytest
 from openpyxl import Workbook
 
 from casacal.cli.main import main
+from casacal.data.read import read_workbook
+from casacal.data.samples import Layout, Samples
+from casacal.data.text import joined_tables, read_table
 from casacal.errors import SamplesError
-from casacal.samples.samples import Layout, Samples
-from casacal.tables.read import read_workbook
-from casacal.tables.text import joined_tables, read_table
 
 LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",))
 HEADER = ["q1_deg", "q2_mm", "reading_mm", "plane", "when"]

@@ -13,13 +13,11 @@ from oracles import cubature_step
 from test_kernels import BACKENDS, HAS_COMPILER, bounds
 
 from casacal import BoundProblem, DialOnPlane, Problem, Samples, TrackedPoint, bind, ekf, lm, sckf
-from casacal.estimators.ekf import linear_update
-from casacal.estimators.sckf import Belief, cubature_update
+from casacal.fit import least_squares as objective
+from casacal.fit.filters import Belief, cubature_update, linear_update
+from casacal.fit.least_squares import Conditioned, LeastSquares
 from casacal.kernels.filter_passes import Cubature
 from casacal.kernels.native_rows import NativeNormal, PackedPieces
-from casacal.least_squares import objective
-from casacal.least_squares.conditioned import Conditioned
-from casacal.least_squares.objective import LeastSquares
 
 needs_compiler = pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")
 SIZES = ((1, 1), (2, 9), (5, 40), (27, 300), (5, 9_000))
@@ -172,7 +170,7 @@ def test_the_downdate_in_passes_is_the_triangularisation(name, backend, monkeypa
     problem, samples = robot(name)
     one = sckf(bind(problem, *samples, backend=backend))
     monkeypatch.setattr(BoundProblem, "filter_pass", LeastSquares.filter_pass)
-    monkeypatch.setattr(sys.modules["casacal.estimators.sckf"], "downdated", lambda root, u: None)  # QR in every row
+    monkeypatch.setattr(sys.modules["casacal.fit.filters"], "downdated", lambda root, u: None)  # QR in every row
     other = sckf(bind(problem, *samples, backend=backend))
     scale = one.problem.start_std
     np.testing.assert_allclose(one.x / scale, other.x / scale, rtol=0, atol=1e-10)
@@ -256,9 +254,9 @@ def taken(monkeypatch):
     module = sys.modules
     watch(Cubature, "_by_c", "cubature in C")
     watch(Cubature, "_by_blocks", "cubature in MX")
-    watch(module["casacal.estimators.sckf"], "cubature_update", "cubature in NumPy")
+    watch(module["casacal.fit.filters"], "cubature_update", "cubature in NumPy")
     watch(PackedPieces, "extended_pass", "extended in C")
-    watch(module["casacal.estimators.ekf"], "linear_update", "extended in NumPy")
+    watch(module["casacal.fit.filters"], "linear_update", "extended in NumPy")
     watch(NativeNormal, "step", "damped in C")
     watch(objective, "damped_solution", "damped in NumPy")
     return seen

@@ -15,7 +15,7 @@ from oracles import central_difference, dh_chain, rot_x, rot_z, shift
 
 from casacal import CasacalError, DialOnPlane, Parameter, Problem, Robot, Symbols, TrackedPoint, calibrate, load_problem
 from casacal.errors import ProblemError
-from casacal.kinematics import translate_x
+from casacal.model.kinematics import translate_x
 
 HSR = {
     "alpha": np.radians([-90, 0, 90, -90, 90, 0]),

@@ -261,7 +261,7 @@ def test_an_interruption_says_what_it_left_behind(capsys, monkeypatch):
     def stop(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(sys.modules["casacal.estimators.sckf_lm"], "sckf_lm", stop)
+    monkeypatch.setattr(sys.modules["casacal.fit.filters"], "sckf_lm", stop)
     assert call(capsys, "calibrate", HSR) == (130, "", "casacal: Interrupted. No file was left half-written.\n")
 
 

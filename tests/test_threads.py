@@ -13,7 +13,7 @@ from test_kernels import BACKENDS
 import casacal
 from casacal import annealing, bind, calibrate, check, ekf, ipopt, lm, load_problem, sckf, simulate
 from casacal.errors import ProblemError
-from casacal.least_squares.losses import huber
+from casacal.kernels.losses import huber
 from casacal.threads import shared_out, thread_count
 
 
@@ -35,7 +35,7 @@ def test_one_thread_and_two_find_the_same_numbers(hsr, backend, monkeypatch):
         assert (block.threads, other.threads) == (1, 2)
         for first, second in zip(block(v), other(v), strict=True):
             np.testing.assert_array_equal(first, second)
-    monkeypatch.setattr("casacal.binding.bound_problem.COMPACT", 10_000)
+    monkeypatch.setattr("casacal.fit.bound_problem.COMPACT", 10_000)
     triangle = one.compact_jacobian(x)
     assert triangle.shape == (one.unknowns, one.unknowns)
     np.testing.assert_array_equal(triangle, two.compact_jacobian(x))

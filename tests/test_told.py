@@ -34,13 +34,13 @@ from casacal import (
     tool_point,
     verify,
 )
-from casacal.calibration.warnings import warnings
+from casacal.calibration.verdict import warnings
 from casacal.cli.main import main
-from casacal.compensation.document import check_document
-from casacal.compensation.predict import predict
-from casacal.discrepancy import Backlash, GravitySag, LinkSag, TorqueCompliance, with_kit
-from casacal.robots.links import Links
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.deployment.predict import predict
+from casacal.deployment.result_file import check_document
+from casacal.effects import Backlash, GravitySag, LinkSag, TorqueCompliance, with_kit
+from casacal.model.links import Links
+from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 
 GIVE = np.array([60.0, 120.0, 90.0, 200.0, 250.0, 300.0]) * 1e-6
 PLAY = np.array([50.0, 80.0, 60.0, 100.0, 150.0, 90.0]) * 1e-6

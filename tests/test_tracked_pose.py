@@ -27,12 +27,12 @@ from casacal import (
     load,
     simulate,
 )
-from casacal.calibration.page.touches import Touches
+from casacal.calibration.report_pictures import Touches
 from casacal.calibration.verdict import verdict_of
-from casacal.discrepancy import Drift, with_kit
-from casacal.instruments.tracked_pose import QUATERNION, chord
-from casacal.kinematics import position
-from casacal.unknowns.geometry import hand_eye
+from casacal.effects import Drift, with_kit
+from casacal.model.geometry import hand_eye
+from casacal.model.kinematics import position
+from casacal.model.tracked_pose import QUATERNION, chord
 
 problem = PROBLEMS["TrackedPose"]
 SIX = Frame(np.eye(4), prior_std=(1e-3, 1.0))

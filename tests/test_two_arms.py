@@ -32,7 +32,7 @@ from casacal import (
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.uncertainty.figures import nees
-from casacal.uncertainty.workspace import bayesian_bound, tip_rms, without_rigid, workspace_joints
+from casacal.uncertainty.tip_error import bayesian_bound, tip_rms, without_rigid, workspace_joints
 
 DATA = Path(os.environ.get("CASACAL_DATA", Path(__file__).parent.parent.parent / "shared" / "data"))
 BALL = (0.0, 0.0, 354.0)

@@ -9,7 +9,7 @@ from oracles import central_difference
 from scipy.spatial.transform import Rotation
 
 from casacal import CasacalError, Direction, Frame, Parameter, Plane
-from casacal.unknowns.geometry import fitted_plane, rotation_between
+from casacal.model.geometry import fitted_plane, rotation_between
 
 SOME = [
     Parameter((1.0, 2.0, 3.0), unit="mm", prior_std=0.5),

@@ -28,7 +28,7 @@ from casacal import (
     load_problem,
     simulate,
 )
-from casacal.kinematics import chain, rotate_z, translate_x
+from casacal.model.kinematics import chain, rotate_z, translate_x
 
 FOLDERS = sorted(path.parent for path in (ROOT / "problems").glob("*/problem.py"))
 

@@ -14,19 +14,18 @@ from test_doctor import PLANTED
 
 import casacal
 from casacal import DialOnPlane, Problem, bind, calibrate, check, ipopt, lm, simulate
-from casacal.calibration.brief import MOST_LINES, best_cure, brief, next_step
-from casacal.calibration.given import Reference
-from casacal.calibration.verdict import verdict_of
-from casacal.calibration.warnings import warnings
-from casacal.checks import set_aside
-from casacal.checks.finding import Finding
-from casacal.checks.set_aside import gross
+from casacal.calibration import set_aside
+from casacal.calibration.finding import Finding
+from casacal.calibration.inputs import Reference
+from casacal.calibration.set_aside import gross
+from casacal.calibration.summary import MOST_LINES, best_cure, brief, next_step
+from casacal.calibration.verdict import verdict_of, warnings
 from casacal.cli.main import main
-from casacal.least_squares.losses import huber
-from casacal.samples.samples import write_samples
-from casacal.tables.columns import Labels
-from casacal.uncertainty.prior_moves import PriorScatter, prior_scatter
-from casacal.uncertainty.workspace import tip_rms, without_rigid
+from casacal.data.columns import Labels
+from casacal.data.samples import write_samples
+from casacal.kernels.losses import huber
+from casacal.uncertainty.moves import PriorScatter, prior_scatter
+from casacal.uncertainty.tip_error import tip_rms, without_rigid
 
 ACCURACY = re.compile(r"tip error of|Inside .* mm RMS|expected to be wrong")
 ASIDE = {"two gross outliers", "a lost revolution", "labels exchanged", "readings outside travel"}
@@ -169,7 +168,7 @@ def test_nobody_is_sent_to_a_check_that_was_asked(hsr, changes, asked, step, mon
         calls.append(given)
         return check(*given)
 
-    monkeypatch.setattr("casacal.checks.check.check", counted)
+    monkeypatch.setattr("casacal.calibration.check.check", counted)
     found = calibrate(hsr.problem, in_cell(hsr, **changes), reference=False)
     verdict = verdict_of(found)
     assert verdict.level == "use with care"
@@ -181,7 +180,7 @@ def test_nobody_is_sent_to_a_check_that_was_asked(hsr, changes, asked, step, mon
     assert ("the data check found no cause" in said) is asked
     assert step in said
     assert len(calls) == asked
-    monkeypatch.setattr("casacal.calibration.brief.doubts", lambda _: [])  # one that says no step of its own
+    monkeypatch.setattr("casacal.calibration.summary.doubts", lambda _: [])  # one that says no step of its own
     assert ("casacal check" in next_step(found, verdict)) is not asked
 
 
@@ -191,8 +190,8 @@ def test_residuals_that_nothing_explains_are_looked_at_before_priors(hsr, corner
     one = ["floor" if label == "wall" else label for label in samples.labels["plane"]]
     merged = dataclasses.replace(samples, labels={**samples.labels, "plane": Labels.of(one)})
     found = calibrate(hsr.problem, merged, reference=False)
-    monkeypatch.setattr("casacal.calibration.brief.priors_contradicted", lambda _: ["they do not fit"])
-    monkeypatch.setattr("casacal.calibration.brief.wrong_with_samples", lambda _: ())
+    monkeypatch.setattr("casacal.calibration.summary.priors_contradicted", lambda _: ["they do not fit"])
+    monkeypatch.setattr("casacal.calibration.summary.wrong_with_samples", lambda _: ())
     verdict = verdict_of(found)
     assert "hardly lowered them" in verdict.words
     assert next_step(found, verdict).startswith("run casacal check")
@@ -360,7 +359,7 @@ def test_an_estimate_far_above_the_minimum_must_not_be_used(hsr, clean):
 
 
 def test_what_ended_badly_must_not_be_used(hsr, clean, monkeypatch):
-    monkeypatch.setattr(sys.modules["casacal.estimators.lm"], "lm", partial(casacal.lm, max_steps=1))
+    monkeypatch.setattr(sys.modules["casacal.fit.lm"], "lm", partial(casacal.lm, max_steps=1))
     stopped = calibrate(hsr.problem, clean.samples, method="lm")
     said = verdict_of(stopped)
     assert said.words == "Do not use this result: the method did not finish."
@@ -369,7 +368,7 @@ def test_what_ended_badly_must_not_be_used(hsr, clean, monkeypatch):
 
 def test_what_nothing_holds_is_named_so_that_it_can_be_held(hsr, clean, monkeypatch):
     """Flat priors: the plates choose the base frame, parallel axes share an offset, the last axis turns in itself."""
-    monkeypatch.setattr(sys.modules["casacal.estimators.lm"], "lm", partial(casacal.lm, max_steps=40))
+    monkeypatch.setattr(sys.modules["casacal.fit.lm"], "lm", partial(casacal.lm, max_steps=40))
     loose = hsr.problem.with_prior(dict.fromkeys(("alpha", "a", "d", "theta"), math.inf))
     said = verdict_of(calibrate(loose, clean.samples, method="lm", reference=False, discrepancy="none"))
     assert said.words == "Do not use this result: neither the samples nor a prior hold 5 combinations of parameters."
@@ -378,7 +377,7 @@ def test_what_nothing_holds_is_named_so_that_it_can_be_held(hsr, clean, monkeypa
     assert len(set(names)) == 5
     held = verdict_of(calibrate(loose.fix(*names), clean.samples, method="lm", reference=False, discrepancy="none"))
     assert held.level != "do not use"
-    monkeypatch.setattr(sys.modules["casacal.estimators.lm"], "lm", partial(casacal.lm, max_steps=1))
+    monkeypatch.setattr(sys.modules["casacal.fit.lm"], "lm", partial(casacal.lm, max_steps=1))
     held_by_d3 = hsr.problem.with_prior({"d2": math.inf})  # their axes are parallel
     stopped = calibrate(held_by_d3, clean.samples, method="lm", reference=False, discrepancy="none")
     assert verdict_of(stopped).words == "Do not use this result: the method did not finish."

@@ -30,12 +30,12 @@ from casacal import (
 )
 from casacal.calibration.result_parts import geometry, rows_of, spreads
 from casacal.cli.main import main
-from casacal.compensation.arm import CalibratedArm
+from casacal.data.repeats import MOST, copies, fitted_among, is_listing, listing
+from casacal.data.samples import Layout, joined
+from casacal.deployment.arm import CalibratedArm
 from casacal.errors import SamplesError, UnknownNameError
-from casacal.estimators import lm
 from casacal.files import jsonable, write_json
-from casacal.samples.repeats import MOST, copies, fitted_among, is_listing, listing
-from casacal.samples.samples import Layout, joined
+from casacal.fit.lm import lm
 from casacal.uncertainty.fresh_rows import FreshRows, chance, learnt
 from casacal.verification.verification import LEVEL
 

@@ -12,17 +12,17 @@ from conftest import ROOT
 
 from casacal import CasacalError, DialOnPlane, Problem, Session, calibrate, dial_zero, load_problem, plan
 from casacal.calibration import tables
-from casacal.calibration.brief import next_step
 from casacal.calibration.saved import SavedCalibration
+from casacal.calibration.summary import next_step
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
-from casacal.compensation.arm import CalibratedArm
-from casacal.fieldwork import handouts as ways_of
-from casacal.fieldwork.handouts import program_text
-from casacal.measuring.examine import Alarm, SessionState, Suspected
+from casacal.data.samples import write_samples
+from casacal.deployment.arm import CalibratedArm
+from casacal.planning import handouts as ways_of
+from casacal.planning.handouts import program_text
 from casacal.planning.plan import told
 from casacal.planning.set_ups import SetUp
-from casacal.samples.samples import write_samples
+from casacal.shopfloor.known import Alarm, SessionState, Suspected
 from casacal.wording import with_spread
 
 HSR = ROOT / "problems" / "hsr_jr680"

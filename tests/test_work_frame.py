@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from casacal import CasacalError, FixedPoint, Problem, calibrate, facing, load_problem, simulate, tool_point, turntable
 from casacal.cli.main import main
-from casacal.compensation.result_file import read_result
-from casacal.export.work_frame import frame_text, work_frame
-from casacal.uncertainty.workspace import workspace_joints
+from casacal.deployment.result_file import read_result
+from casacal.deployment.work_frame import frame_text, work_frame
+from casacal.uncertainty.tip_error import workspace_joints
 
 FACES = ("floor", "wall", "side")
 

@@ -20,9 +20,9 @@ from casacal import (
     simulate,
     tool_point,
 )
+from casacal.calibration.check import check
+from casacal.calibration.numbers import wrong_number
 from casacal.calibration.verdict import verdict_of
-from casacal.checks.check import check
-from casacal.checks.numbers import wrong_number
 
 
 def with_lost_zero(hsr, joint, degrees, seed=0, **changes):

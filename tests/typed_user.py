@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 import casacal
 from casacal import Calibrated, Instrument, Parameter, Prediction, Problem, Result, Robot, Samples, Status
-from casacal.kinematics import chain, position, rotate_z, translate_x
+from casacal.model.kinematics import chain, position, rotate_z, translate_x
 
 
 def pose(p: Any, q: Any) -> Any:

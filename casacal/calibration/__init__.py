@@ -1,1 +1,1 @@
-"""Calibration: the fit, what it is compared with, and all that is said about it."""
+"""Calibration: check, fit, verdict, typed result and report."""

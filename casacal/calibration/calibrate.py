@@ -11,28 +11,29 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.binding.seen import bind_further
+from casacal.calibration.before_fit import labels_alike
 from casacal.calibration.calibrated import Calibrated
-from casacal.calibration.given import RANDOM, Method, Progress, Reference, chosen, estimate, problem_from, samples_from
+from casacal.calibration.finding import Finding
+from casacal.calibration.inputs import RANDOM, Method, Progress, Reference, chosen, estimate, problem_from, samples_from
 from casacal.calibration.motion import tried_corrections
 from casacal.calibration.saved import AsArm
-from casacal.checks.before_fit import labels_alike
-from casacal.checks.finding import Finding
-from casacal.checks.set_aside import gross
-from casacal.compensation.arm import CalibratedArm
-from casacal.discrepancy.kit import BY_LINKS, with_link_kit
+from casacal.calibration.set_aside import gross
+from casacal.data.holdout import split_each
+from casacal.data.repeats import without_copies
+from casacal.data.samples import Measurements, Samples
+from casacal.deployment.arm import CalibratedArm
+from casacal.effects.kit import BY_LINKS, with_link_kit
+from casacal.effects.selection import with_effects
 from casacal.errors import CasacalError, ProblemError, SamplesError, came
-from casacal.estimators import lm, nlpsol, plane_only
-from casacal.estimators.ipopt import check_solver
-from casacal.least_squares.losses import Loss
-from casacal.least_squares.result import Result
-from casacal.problem.problem import Problem
-from casacal.problem.problem_file import ProblemFile
-from casacal.samples.holdout import split_each
-from casacal.samples.repeats import without_copies
-from casacal.samples.samples import Measurements, Samples
-from casacal.uncertainty.discrepancy import with_effects
+from casacal.fit.bound_problem import BoundProblem, bind
+from casacal.fit.controls import plane_only
+from casacal.fit.ipopt import check_solver, nlpsol
+from casacal.fit.lm import lm
+from casacal.fit.result import Result
+from casacal.fit.seen import bind_further
+from casacal.kernels.losses import Loss
+from casacal.model.problem import Problem
+from casacal.model.problem_file import ProblemFile
 from casacal.uncertainty.noise import found_noise
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ def calibrate(
             interval; "stated" trusts what was stated.
         outliers: "set aside" fits without the rows that chance does not explain, where they are few, and names them;
             "keep" fits all. With a robust loss all are kept. Copies of a row always count once.
-        discrepancy: "kit" takes into account what arm and cell do beside their geometry: the problem's own effects, or
+        discrepancy: "kit" takes non-geometric effects into account: the problem's own, or
             those to expect of any arm; "none" takes geometry for all there is, as a robust loss, methods that search
             a box, and thousands of faces do.
         loss: a robust loss, such as `huber()`, for methods that minimise: all but filters and "plane-only".
@@ -168,7 +169,7 @@ def _opened(
         if loosen or standing:
             raise CasacalError("Got what to loosen or what stands, without an earlier result", "Give prior=result")
         return None
-    from casacal.calibration.earlier import earlier  # most calibrations begin from the drawing
+    from casacal.calibration.earlier import earlier
 
     if isinstance(rows, Measurements):
         fix = "Calibrate with the old and the new rows together"

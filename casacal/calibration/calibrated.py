@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from casacal.array_types import Array
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.motion import Motion
 from casacal.calibration.pictures import plot_convergence, plot_residuals, plot_tip_std
@@ -21,16 +20,16 @@ from casacal.calibration.saved import AsArm, parameter_table
 from casacal.calibration.sensitivity import Sensitivity
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
-from casacal.compensation.arm import CalibratedArm
-from casacal.compensation.result import Verdict
+from casacal.deployment.arm import CalibratedArm
+from casacal.deployment.result import Verdict
+from casacal.effects.selection import DialError, LeftOut
 from casacal.errors import CasacalError
 from casacal.files import jsonable, write_text
 from casacal.planning.cures import Cure
-from casacal.uncertainty.discrepancy import DialError
-from casacal.uncertainty.expectation import Box
 from casacal.uncertainty.identifiability import Identifiability
-from casacal.uncertainty.prior_moves import PriorMoves
-from casacal.uncertainty.transfer import LeftOut
+from casacal.uncertainty.moves import PriorMoves
+from casacal.uncertainty.tip_error import Box
+from casacal.values import Array
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -208,7 +207,7 @@ class Calibrated(Calibration, AsArm):
             The path of the page.
 
         """
-        from casacal.calibration.page import report_page
+        from casacal.calibration.report import report_page
 
         write_text(path, report_page(self, calibration_document(self), box=box))
         return Path(path)

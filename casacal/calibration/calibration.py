@@ -11,25 +11,31 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem, bind, each_alone
-from casacal.binding.seen import ArmAlone, Seen, extended, seen
-from casacal.calibration.given import Reference
+from casacal.calibration.before_fit import labels_alike, outside, repeated, rounded, sign_before_fit
+from casacal.calibration.finding import Finding
+from casacal.calibration.inputs import Reference
 from casacal.calibration.motion import Motion, Tried, among, used_arm
+from casacal.calibration.numbers import not_the_same, tool_elsewhere_at, wrong_number, wrong_scale
 from casacal.calibration.sensitivity import Sensitivity, sensitivity
-from casacal.checks.before_fit import labels_alike, outside, repeated, rounded, sign_before_fit
-from casacal.checks.finding import Finding
-from casacal.checks.numbers import not_the_same, tool_elsewhere_at, wrong_number, wrong_scale
+from casacal.data.repeats import copies_of
+from casacal.data.samples import Measurements, Samples
+from casacal.effects.selection import (
+    DialError,
+    EffectSize,
+    LeftOut,
+    dial_errors,
+    effect_sizes_of,
+    errors_are_shared,
+    leave_one_face_out,
+)
 from casacal.errors import CasacalError
-from casacal.estimators import lm
-from casacal.least_squares.linalg import posterior_covariance
-from casacal.least_squares.result import Result
+from casacal.fit.bound_problem import BoundProblem, bind, each_alone
+from casacal.fit.lm import lm
+from casacal.fit.result import Result
+from casacal.fit.seen import ArmAlone, Seen, extended, seen
+from casacal.linalg import posterior_covariance
+from casacal.model.problem_file import ProblemFile
 from casacal.planning.cures import Cure, cure_for, cures
-from casacal.problem.problem_file import ProblemFile
-from casacal.samples.repeats import copies_of
-from casacal.samples.samples import Measurements, Samples
-from casacal.uncertainty.discrepancy import DialError, EffectSize, dial_errors, effect_sizes_of, errors_are_shared
-from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
 from casacal.uncertainty.figures import HALF_WEIGHT, residual_figures
 from casacal.uncertainty.identifiability import (
     Identifiability,
@@ -38,11 +44,18 @@ from casacal.uncertainty.identifiability import (
     identifiability,
     known_from,
 )
+from casacal.uncertainty.moves import PriorMoves, prior_moves
 from casacal.uncertainty.noise import Noise, noise_over_stated
-from casacal.uncertainty.prior_moves import PriorMoves, prior_moves
-from casacal.uncertainty.transfer import LeftOut, leave_one_face_out
-from casacal.uncertainty.workspace import tip_rms, tip_stds, tool_unknowns, without_rigid, workspace_joints
-from casacal.values import FrozenMapping, Value
+from casacal.uncertainty.tip_error import (
+    classical_accuracy,
+    expected_accuracy,
+    tip_rms,
+    tip_stds,
+    tool_unknowns,
+    without_rigid,
+    workspace_joints,
+)
+from casacal.values import Array, FrozenMapping, Value
 
 if TYPE_CHECKING:
     from casacal.calibration.earlier import EarlierResult
@@ -103,7 +116,7 @@ def more_than_stated(fit: BoundProblem, most: float) -> str:
 
 @dataclass(frozen=True)
 class HiddenTool:
-    """Coordinates of the tool that the samples hardly show and that decide most of the tip error.
+    """Poorly observed tool coordinates that account for most of the tip error.
 
     std_mm: of the least known. tip_mm: the tip error to expect were the tool's point exactly known.
     """
@@ -300,7 +313,7 @@ class Calibration(Value):
         """
         if self.earlier is not None:
             return ()
-        from casacal.checks.check import check  # sound rows need none of it
+        from casacal.calibration.check import check
 
         found = check(self.bare.problem, self.fit.measured.plain)
         return tuple(each for each in found if each.severity == "error")

@@ -10,22 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from casacal.binding.bound_problem import BoundProblem
-from casacal.calibration.fresh import Fresh, fresh_rows, with_memory
+from casacal.calibration.finding import Finding
+from casacal.calibration.fresh import Fresh, Opened, fresh_among, fresh_rows, same_arm, with_memory
 from casacal.calibration.motion import Tried
-from casacal.calibration.opened import Opened, fresh_among, same_arm
 from casacal.calibration.saved import AsArm, arm_from
-from casacal.checks.finding import Finding
-from casacal.compensation.arm import CalibratedArm
-from casacal.compensation.result import Verdict
-from casacal.discrepancy.effect import effects_of
+from casacal.data.samples import Samples
+from casacal.deployment.arm import CalibratedArm
+from casacal.deployment.result import Verdict
+from casacal.effects.effect import effects_of
+from casacal.effects.selection import in_sample_gains
 from casacal.errors import CasacalError, RefusedResultError
-from casacal.least_squares.result import Result
-from casacal.problem.problem import Problem
-from casacal.problem.problem_file import ProblemFile
-from casacal.samples.samples import Samples
+from casacal.fit.bound_problem import BoundProblem
+from casacal.fit.result import Result
+from casacal.model.problem import Problem
+from casacal.model.problem_file import ProblemFile
 from casacal.uncertainty.fresh_rows import chance
-from casacal.uncertainty.transfer import in_sample_gains
 from casacal.values import FrozenMapping, Value
 
 

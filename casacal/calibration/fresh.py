@@ -1,30 +1,134 @@
-"""Fresh rows bound to an arm as it was calibrated: what is known of it, and what these rows alone know."""
+"""Fresh rows bound to the calibrated arm that they are judged by; joints, tool and base that may have shifted since."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from pathlib import Path
+from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.array_types import Array
-from casacal.binding.bound_problem import OTHERS, REPEATABILITY, BoundProblem
-from casacal.binding.slots import make_slots
-from casacal.calibration.shifts import JOINTS, joint_direction, shift_columns, with_shifts
-from casacal.compensation.arm import CalibratedArm, all_motion, named_covariance, with_effects
+from casacal.calibration.inputs import problem_from, samples_of
+from casacal.calibration.saved import AsArm, arm_from
+from casacal.data.repeats import copies, fitted_among, in_fitted_postures
+from casacal.data.samples import Samples
+from casacal.deployment.arm import (
+    NOTHING,
+    CalibratedArm,
+    TellingColumns,
+    all_motion,
+    named_covariance,
+    seen_by,
+    with_effects,
+)
 from casacal.errors import CasacalError, ProblemError, SamplesError, UnknownNameError
-from casacal.estimators import lm
-from casacal.least_squares.conditioned import Conditioned
-from casacal.least_squares.gaussian import Gaussian
-from casacal.problem.problem import Problem
-from casacal.samples.samples import Samples
+from casacal.files import jsonable
+from casacal.fit.bound_problem import OTHERS, REPEATABILITY, BoundProblem
+from casacal.fit.least_squares import Conditioned, Gaussian
+from casacal.fit.lm import lm
+from casacal.fit.slots import make_slots
+from casacal.model.kinematics import Expression, Product, rotate_x, rotate_y, rotate_z, translate
+from casacal.model.problem import Problem
+from casacal.model.problem_file import ProblemFile
+from casacal.model.robot import Robot, random_joints
+from casacal.model.term import Here, Site, Term
+from casacal.model.unknown import Parameter, Unknown
 from casacal.uncertainty.fresh_rows import FreshRows, covariance_root
-from casacal.unknowns import Unknown
-from casacal.values import is_real
-from casacal.wording import counted
+from casacal.uncertainty.tip_error import workspace_joints
+from casacal.values import Array, is_real
+from casacal.wording import counted, listed
+
+JOINTS, TOOL, TURN, BASE, BASE_TURN = "shift_q", "shift_tool", "shift_turn", "shift_base", "shift_base_turn"
+"""Keys of the unknowns: joints as the controller counts them, tool and base in mm along and rad about their axes."""
+
+WIDE = 10.0  # standard deviation that stands for nothing known; these unknowns are given priors by whoever uses them
+
+
+@dataclass(frozen=True)
+class Shifts(Term):
+    """Joints, tool and base that stand elsewhere than where they were calibrated."""
+
+    size: float = WIDE
+
+    moves = True
+    key = "shift"
+    words = "a change since the calibration"
+
+    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
+        """Coordinates of a shift: one per joint, and three translations and three rotations of tool and base."""
+        each = [0.0] * len(site.robot.axes)
+        found = {JOINTS: Parameter(each, unit="rad", prior_std=self.size)}
+        for key, unit in ((TOOL, "mm"), (TURN, "rad"), (BASE, "mm"), (BASE_TURN, "rad")):
+            found[key] = Parameter([0.0, 0.0, 0.0], unit=unit, prior_std=self.size)
+        return found
+
+    def joints(self, here: Here) -> Expression:
+        """The shifts themselves."""
+        return ca.SX(getattr(here.p, JOINTS))
+
+    def pose(self, here: Here) -> Expression:
+        """The flange as base and tool carry it: base pose tool."""
+        matrix = here.pose.matrix if isinstance(here.pose, Product) else ca.SX(here.pose)
+        base = _rigid(getattr(here.p, BASE), getattr(here.p, BASE_TURN))
+        return ca.mtimes([base, matrix, _rigid(getattr(here.p, TOOL), getattr(here.p, TURN))])
+
+
+def with_shifts(bound: BoundProblem) -> BoundProblem:
+    """The rows with the shifts as further unknowns after all others; priors of terms are lost."""
+    problem = bound.problem
+    return bound.under(problem.with_terms(*problem.terms, Shifts()))
+
+
+def shift_columns(shifted: BoundProblem, key: str) -> NDArray[np.intp]:
+    """Positions in x of a key's unknowns."""
+    slot = next(slot for slot in shifted.slots if slot.key == key and slot.beside == Shifts.key)
+    return np.array(slot.columns, dtype=np.intp)
+
+
+def _rigid(place: Expression, turn: Expression) -> Expression:
+    factors = (translate(place[0], place[1], place[2]), rotate_x(turn[0]), rotate_y(turn[1]), rotate_z(turn[2]))
+    return ca.mtimes([each.matrix if isinstance(each, Product) else ca.SX(each) for each in factors])
+
+
+SAME = 1e-6  # part of the motion of tip and flange by a joint that the arm's unknowns may fail to follow
+POSES = 60  # postures at which these motions are compared
+
+
+def joint_direction(shifted: BoundProblem, x: Array, column: int, arm: NDArray[np.bool_]) -> Array | None:
+    """Direction (n,) in the arm's unknowns that does what one unit of a joint's shift does; None where there is none.
+
+    One number of the arm where one does it, as an offset of a DH table; else the least of several, in their priors.
+    shifted: rows bound with shifts. x (n,): where everything stands; column: the joint's shift in it. arm: which
+    unknowns (n,) are the arm's.
+    """
+    joints = workspace_joints(shifted.problem.robot, poses=POSES)
+    block, columns = shifted.blocks[0], shifted.blocks[0].columns[0]
+    field = np.zeros((6 * len(joints), shifted.unknowns))
+    motions = (block.posture(what, x, joints)[1] for what in ("tip_jacobian", "flange_jacobian"))
+    field[:, columns] = np.vstack([motion.reshape(3 * len(joints), -1) for motion in motions])
+    wanted, own = field[:, column], np.flatnonzero(arm)
+    size = float(np.linalg.norm(wanted))
+    if not size:
+        return None
+    squares = (field[:, own] ** 2).sum(axis=0)
+    times = np.divide(field[:, own].T @ wanted, squares, out=np.zeros(own.size), where=squares > 0)
+    misses = np.linalg.norm(wanted[:, None] - field[:, own] * times, axis=0)
+    found, best = np.zeros(shifted.unknowns), int(misses.argmin())
+    if misses[best] <= SAME * size:
+        found[own[best]] = times[best]
+        return found
+    scale = shifted.start_std[own]
+    moves = np.linalg.lstsq(field[:, own] * scale, wanted, rcond=1e-10)[0] * scale
+    if np.linalg.norm(wanted - field[:, own] @ moves) > SAME * size:
+        return None
+    found[own] = moves
+    return found
+
 
 ANYWHERE = {"rad": 0.1, "mm": 100.0}  # standard deviations of what may have moved as far as anything does
 MOST = 30_000_000  # elements of a Jacobian that is held as a whole
@@ -305,3 +409,246 @@ def _noise_used(result: CalibratedArm, bound: BoundProblem, *, other: bool) -> d
         return {OTHERS: math.sqrt(1 + max(excess, 0.0) / stated**2), **joints}
     factors = {name: used / stated for name, (stated, used) in pairs.items()}
     return {OTHERS: math.sqrt(float(np.mean([factor**2 for factor in factors.values()]))), **factors, **joints}
+
+
+ALIKE = 1e-6  # difference (mm; of a rotation's elements) of two poses below which arms are one
+COMPARED = 8  # random joint values at which they are compared
+SPENT = 0.5  # part of the rows that are those of the calibration, from which on they verify nothing
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Fresh rows and the calibration that they are held against.
+
+    robot, result, verdict: which calibration, and what it said of itself (level and words; empty for a truth).
+    samples, sha256, rows: which rows, and how many. own: unknowns that these rows alone know, fitted to them.
+    standing: what was said to stand where it was calibrated. copied_lines, fitted_lines: rows that were left out:
+    copies of others among them, and those that the arm was calibrated from. remarks: sentences on rows in
+    postures that were fitted, and on columns that tell effects and are far from what they were in the fitted rows.
+    """
+
+    robot: str
+    result: str
+    verdict: tuple[str, str]
+    samples: str
+    sha256: str
+    rows: int
+    own: tuple[str, ...]
+    standing: tuple[str, ...]
+    copied_lines: tuple[int, ...]
+    fitted_lines: tuple[int, ...]
+    remarks: tuple[str, ...]
+
+    @property
+    def said(self) -> str:
+        """The rows in a sentence."""
+        return f"{counted(self.rows, 'fresh row')} of {self.samples}"
+
+    @property
+    def own_verdict(self) -> list[str]:
+        """The result's own verdict as a sentence, where it is not simply calibrated; otherwise empty."""
+        level, words = self.verdict
+        return [] if level in ("", "calibrated") else [f"The result's own verdict: {words}"]
+
+    def left_out(self, copied: str, fitted: str) -> list[str]:
+        """Rows that do not count, a sentence for each reason: `copied`, `fitted`, with {} for the rows' file."""
+        found = ((self.copied_lines, copied), (self.fitted_lines, fitted))
+        return [f"{counted(len(lines))} {why.format(self.samples)}." for lines, why in found if lines]
+
+    def fitted_words(self, names: str = "") -> str:
+        """Clauses on the unknowns fitted to these rows and on what was assumed not to have moved."""
+        own = f"{counted(len(self.own), 'unknown')} fitted to these rows{names}"
+        still = f"; assumed not to have moved: {', '.join(self.standing)}" if self.standing else ""
+        return (own if self.own else "nothing fitted to these rows") + still
+
+    def document(self, first: Mapping[str, Any], found: Any, instead: Mapping[str, Any]) -> dict[str, Any]:
+        """JSON document: entries of `first`, then the fields of `found`, those in `instead` replaced."""
+        level, words = self.verdict
+        rows = {each.name: getattr(self, each.name) for each in fields(self)}
+        rows["verdict"] = {"level": level, "words": words} if level else None
+        last = {name: rows.pop(name) for name in ("copied_lines", "fitted_lines", "remarks")}
+        figures = {each.name: getattr(found, each.name) for each in fields(found) if each.name != "judged"}
+        return dict(jsonable({**first, **rows, **figures, **instead, **last}))
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """A result as the instrument of some rows sees it, those rows that count, and lines of those that do not."""
+
+    arm: CalibratedArm
+    source: ProblemFile
+    rows: Samples
+    copied: tuple[int, ...]
+    fitted: tuple[int, ...]
+    other: bool
+    """Whether another instrument than the calibration's took the rows."""
+    remarks: tuple[str, ...]
+    """Sentences: rows in postures that were fitted, and columns that are far from what they were in the fitted rows."""
+
+    def fresh(self, standing: Collection[str]) -> Fresh:
+        """Rows bound to the arm; raises CasacalError as `fresh_rows`, SamplesError for what is not finite."""
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            fresh = fresh_rows(self.arm, self.source.problem, self.rows, other=self.other, standing=standing)
+            if not np.isfinite(fresh.bound.residual(fresh.x)).all() or not np.isfinite(fresh.jacobian).all():
+                fix = "Check their values with check"
+                raise SamplesError(self.rows.file, "the residuals of some rows are not finite", fix)
+        return fresh
+
+    @property
+    def noise_freedom(self) -> float:
+        """Degrees of freedom of the noise where the calibration found it itself, infinite where it was stated.
+
+        The logarithm of a standard deviation from nu degrees of freedom has the variance 1 / (2 nu).
+        """
+        noise = self.arm.found.noise
+        used = any(face.used_mm > face.stated_mm for face in noise.by_face.values())
+        if not used or not noise.high > noise.low > 0:
+            return math.inf
+        return 0.5 / (math.log(noise.high / noise.low) / (2 * 1.96)) ** 2
+
+    def judged(self, fresh: Fresh, standing: tuple[str, ...]) -> Judged:
+        """These rows, bound to the arm, with what was said to stand."""
+        verdict = self.arm.found.verdict
+        return Judged(
+            self.source.problem.robot.name,
+            self.arm.file,
+            ("", "") if verdict is None else (verdict.level, verdict.words),
+            self.rows.file,
+            self.rows.sha256,
+            len(self.rows),
+            fresh.own_names,
+            standing,
+            self.copied,
+            self.fitted,
+            self.remarks,
+        )
+
+
+def opened(
+    result: AsArm | CalibratedArm | str | Path,
+    samples: Samples | Any,
+    *,
+    problem: Problem | ProblemFile | str | Path | None,
+    instrument: str | None,
+    standing: Collection[str],
+) -> Opened:
+    """Read what is judged and by what; raises CasacalError as `verify` does."""
+    if isinstance(standing, str):
+        raise CasacalError(f"Got the text '{standing}' as the list of what has not moved", f"Give ['{standing}']")
+    found = arm_from(result, "the result")
+    arm = seen_by(found, instrument if problem is not None else measured_by(found, samples, instrument))
+    source, robot = arm.source, arm.source.problem.robot
+    if problem is not None:  # the result's arm with another problem's instrument
+        other = problem_from(problem).problem
+        if not same_arm(robot, other.robot):
+            what = f"{arm.file}: the arm of the problem ({other.robot.name}) is not the calibrated one ({robot.name})"
+            raise CasacalError(what, "Give a problem whose robot is that of the calibration, parameter by parameter")
+        source = ProblemFile.of(Problem(robot, other.instrument))
+    return fresh_among(arm, source, samples_of(samples, source, 0), other=problem is not None)
+
+
+def measured_by(arm: CalibratedArm, samples: Any, instrument: str | None) -> str | None:
+    """Which instrument of a calibration took some rows: the one that is named, else the one that reads most of them.
+
+    Raises CasacalError where none could have, or several as well.
+    """
+    problem, fits = arm.source.problem, dict[str, int]()
+    if instrument is not None or len(problem.instruments) == 1:
+        return instrument
+    if isinstance(samples, (str, Path)) and not Path(samples).is_file():
+        raise CasacalError(f"There is no file '{samples}' of fresh rows", "Name one that is there")
+    reasons = []
+    for i, name in enumerate(problem.names):
+        try:
+            rows = samples_of(samples, arm.source, i)
+            labelled = [column for column, labels in rows.labels.items() if labels.names != (column,)]
+            fits[name] = len(rows.columns) + len(labelled)
+        except CasacalError as error:
+            reasons.append(f"for the {name}: {error.what}")
+    best = [name for name, count in fits.items() if count == max(fits.values())]
+    if len(best) == 1:
+        return best[0]
+    if best:
+        fix = f"Name it: instrument='{best[0]}', or --instrument {best[0]}"
+        raise CasacalError(f"These rows may be of {' or '.join(best)}", fix)
+    raise CasacalError(f"These rows fit none of the instruments: {'; '.join(reasons)}", "Correct the columns")
+
+
+def same_arm(one: Robot, two: Robot) -> bool:
+    """Whether two arms have the same parameters, and the same poses wherever these move a little."""
+    if [axis.turns for axis in one.axes] != [axis.turns for axis in two.axes] or set(one.parameters) != set(
+        two.parameters
+    ):
+        return False
+    rng = np.random.default_rng(0)
+    for q in random_joints(one, COMPARED, rng):
+        poses = []
+        moved = {key: rng.normal(size=u.nominal_size) * 1e-3 for key, u in one.parameters.items()}
+        for robot in (one, two):
+            values = []
+            for key, unknown in robot.traced.unknowns.items():
+                if unknown.nominal is None or np.size(unknown.nominal) != moved[key].size:
+                    return False
+                value = unknown.at(ca.DM(np.ravel(unknown.nominal) + moved[key]), ca.DM.zeros(unknown.size))
+                values.append(unknown.packed(value))
+            pose = ca.DM.eye(4)
+            for factor in robot.traced.graph.call([*values, ca.DM(q)]):
+                pose = pose @ factor
+            poses.append(np.array(pose))
+        if not np.abs(poses[0] - poses[1]).max() < ALIKE:
+            return False
+    return True
+
+
+def fresh_among(arm: CalibratedArm, source: ProblemFile, rows: Samples, *, other: bool) -> Opened:
+    """Without copies of others, and without rows that the arm was calibrated from.
+
+    Raises SamplesError where half of the rows or more are those that were fitted.
+    """
+    again = copies(rows)
+    once, data = rows.take(np.flatnonzero(~again)), arm.found.data
+    seen, part = np.zeros(len(once), dtype=bool), 0.0
+    if data.fitted_rows is not None:
+        seen, part = fitted_among(once, source.problem.layout(), data.fitted_rows)
+    elif data.sha256 == rows.sha256 and arm.found.method != "truth":
+        part = 1.0  # a result from before results held their rows
+    if part >= SPENT:
+        said = "these are the rows" if seen.all() or not seen.any() else "half of the rows or more are those"
+        fix = "Take fresh rows, in other postures"
+        raise SamplesError(rows.file, f"{said} that the arm was calibrated from, which say nothing new", fix)
+    copied, fitted = (
+        tuple(int(some.lines[k]) for k in np.flatnonzero(which).tolist())
+        for some, which in ((rows, again), (once, seen))
+    )
+    fresh = once.take(np.flatnonzero(~seen))
+    remarks = (NOTHING if other else TellingColumns.by(arm, fresh)).beyond
+    if not other:
+        remarks += (*_unlabelled(fresh, source, arm), *_same_postures(fresh, source, data.fitted_rows))
+    return Opened(arm, source, fresh, copied, fitted, other, remarks)
+
+
+def _unlabelled(fresh: Samples, source: ProblemFile, arm: CalibratedArm) -> list[str]:
+    """A remark where rows lack the face column although the calibration had several faces."""
+    groups = source.problem.instrument.groups
+    if groups is None or fresh.labels[groups].names != (groups,):
+        return []
+    keys = [key for key, unknown in source.problem.instrument.unknowns.items() if unknown.per == groups]
+    names = [name.split(".") for name in arm.found.unknowns]
+    known = {name[-2] for name in names if len(name) > 2 and name[-3] in keys}
+    if len(known) < 2:
+        return []
+    return [
+        f"The rows have no column '{groups}' and count as one, while the calibration knows {listed(sorted(known))}: "
+        "add the column if they are on several."
+    ]
+
+
+def _same_postures(fresh: Samples, source: ProblemFile, fitted: Mapping[str, Any] | None) -> list[str]:
+    """A remark where most rows repeat fitted postures, which even wrong parameters predict."""
+    again = 0 if fitted is None else int(in_fitted_postures(fresh, source.problem.layout(), fitted).sum())
+    if again < SPENT * len(fresh):
+        return []
+    return [
+        f"{again} of {len(fresh)} rows are in postures that were fitted. They show that readings repeat, not that the "
+        "arm is right elsewhere: take rows in other postures."
+    ]

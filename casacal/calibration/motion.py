@@ -8,18 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.seen import ArmAlone, Seen, moving
-from casacal.estimators import lm
-from casacal.least_squares.conditioned import Conditioned
-from casacal.least_squares.result import Result
-from casacal.problem.term import Site
-from casacal.uncertainty.discrepancy import VERY_STRONG, at_most
-from casacal.uncertainty.expectation import expected_accuracy
-from casacal.uncertainty.transfer import MOST_ROWS, gains, in_sample_gains
-from casacal.uncertainty.workspace import tip_stds, without_rigid, workspace_joints
-from casacal.values import FrozenMapping, Value
+from casacal.effects.selection import MOST_ROWS, VERY_STRONG, at_most, gains, in_sample_gains
+from casacal.fit.bound_problem import BoundProblem
+from casacal.fit.least_squares import Conditioned
+from casacal.fit.lm import lm
+from casacal.fit.result import Result
+from casacal.fit.seen import ArmAlone, Seen, moving
+from casacal.model.term import Site
+from casacal.uncertainty.tip_error import expected_accuracy, tip_stds, without_rigid, workspace_joints
+from casacal.values import Array, FrozenMapping, Value
 from casacal.wording import listed
 
 SMALLEST = 1e-2

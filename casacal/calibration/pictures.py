@@ -10,7 +10,7 @@ import numpy as np
 
 from casacal.calibration.calibration import Calibration
 from casacal.files import place_whole
-from casacal.uncertainty.workspace import tip_stds, without_rigid
+from casacal.uncertainty.tip_error import tip_stds, without_rigid
 from casacal.version import __version__
 
 FILTER_POINTS = 60  # rows at which a filter's objective is drawn

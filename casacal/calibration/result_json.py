@@ -10,19 +10,18 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from casacal.binding.bound_problem import BoundProblem
 from casacal.calibration import result_parts as parts
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.verdict import verdict_of
-from casacal.calibration.warnings import warnings
-from casacal.compensation.result import Verdict
-from casacal.compensation.result_file import sealed
+from casacal.calibration.verdict import verdict_of, warnings
+from casacal.data.repeats import listing
+from casacal.data.samples import Measurements
+from casacal.deployment.result import Verdict
+from casacal.deployment.result_file import sealed
 from casacal.files import MADE, together, write_json, write_text
-from casacal.problem.problem_file import ProblemFile
-from casacal.samples.repeats import listing
-from casacal.samples.samples import Measurements
-from casacal.uncertainty.expectation import Box
+from casacal.fit.bound_problem import BoundProblem
+from casacal.model.problem_file import ProblemFile
 from casacal.uncertainty.identifiability import correlated_pairs
+from casacal.uncertainty.tip_error import Box
 
 if TYPE_CHECKING:
     from casacal.calibration.earlier import EarlierResult
@@ -137,8 +136,8 @@ def write_calibration(
     folder: made where it does not exist. command: the command line that reproduces it, for the report, if there was
     one. box: where the arm will work, mm in the base frame, for the report. Returns their paths.
     """
-    from casacal.calibration.page import report_page
     from casacal.calibration.pictures import save_plots
+    from casacal.calibration.report import report_page
 
     document = calibration_document(calibration, folder=folder)
     with together(folder, PLACED) as place:

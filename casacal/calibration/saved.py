@@ -11,18 +11,17 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import casadi as ca
 
-from casacal.array_types import Array
-from casacal.compensation.arm import CalibratedArm
-from casacal.compensation.result_file import read_result
+from casacal.deployment.arm import CalibratedArm
+from casacal.deployment.result_file import read_result
 from casacal.errors import CasacalError, came
-from casacal.problem.problem import Problem
-from casacal.values import Value
+from casacal.model.problem import Problem
+from casacal.values import Array, Value
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from casacal.compensation.predict import Prediction
-    from casacal.compensation.targets import Compensation
+    from casacal.deployment.compensate import Compensation
+    from casacal.deployment.predict import Prediction
 
 
 class AsArm(ABC):
@@ -60,10 +59,10 @@ class AsArm(ABC):
             (N,) in mm where asked for. The quaternions are those of the flange for both frames.
 
         Raises RefusedResultError for a result that is not to be used, unless forced, and CasacalError for joint values
-        that do not fit, and as `casacal.compensation.predict` does.
+        that do not fit, and as `casacal.deployment.predict` does.
 
         """
-        from casacal.compensation.predict import predict
+        from casacal.deployment.predict import predict
 
         return predict(self.arm, q, frame=frame, nominal=nominal, std=std, force=force)
 
@@ -96,8 +95,8 @@ class AsArm(ABC):
     def _compensated(
         self, targets: Any, frame: Literal["flange", "tip"], largest: float | None, force: bool, form: str = "csv"
     ) -> Compensation:
-        from casacal.compensation.compensate import LARGEST, compensate
-        from casacal.compensation.programs import rounding_of
+        from casacal.deployment.compensate import LARGEST, compensate
+        from casacal.deployment.programs import rounding_of
 
         most, rounding = LARGEST if largest is None else largest, rounding_of(form, self.arm.source.problem.robot)
         return compensate(self.arm, targets, frame=frame, largest=most, rounding=rounding, force=force)
@@ -116,7 +115,7 @@ class AsArm(ABC):
 
         targets, frame, largest, force, errors: as for `compensate`. The proof is about joint values as written.
         """
-        from casacal.compensation.programs import text_of
+        from casacal.deployment.programs import text_of
         from casacal.files import write_text
 
         text = text_of(self._compensated(targets, frame, largest, force, form), form, self.arm)
@@ -135,9 +134,9 @@ class AsArm(ABC):
     ) -> str:
         """The arm as "dh", "urdf", "zeros", "ur", "c" or "casadi": the text, written to `path` where one is given.
 
-        source, prefix, force, errors: as for `casacal.export.forms.export`.
+        source, prefix, force, errors: as for `casacal.deployment.export.export`.
         """
-        from casacal.export.forms import export
+        from casacal.deployment.export import export
 
         return export(self.arm, form, path, source=source, prefix=prefix, force=force)
 
@@ -153,7 +152,7 @@ class AsArm(ABC):
         and RefusedResultError for a result that is not to be used, unless forced.
 
         """
-        from casacal.export.functions import pose_function
+        from casacal.deployment.functions import pose_function
 
         return pose_function(self.arm, nominal=nominal, free=free, force=force)
 
@@ -163,7 +162,7 @@ class AsArm(ABC):
         nominal, free, force, errors: as for `pose_function`; free also what the tip depends on of instrument and
         columns. Raises ProblemError where there are several instruments.
         """
-        from casacal.export.functions import tip_function
+        from casacal.deployment.functions import tip_function
 
         return tip_function(self.arm, nominal=nominal, free=free, force=force)
 
@@ -175,7 +174,7 @@ class AsArm(ABC):
         frame: "flange" for `pose_function`, "tip" for `tip_function`. nominal: as drawn. force: take a result whose
         verdict is not to use it; else RefusedResultError is raised for such a one.
         """
-        from casacal.export.functions import values_of
+        from casacal.deployment.functions import values_of
 
         return values_of(self.arm, frame=frame, nominal=nominal, force=force)
 

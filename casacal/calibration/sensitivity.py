@@ -12,13 +12,12 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem
 from casacal.errors import CasacalError
-from casacal.instruments import Instrument
-from casacal.least_squares.result import Result
-from casacal.problem.compile import RowModel
-from casacal.values import Value, read_only
+from casacal.fit.bound_problem import BoundProblem
+from casacal.fit.result import Result
+from casacal.model.instrument import Instrument
+from casacal.model.trace import RowModel
+from casacal.values import Array, Value, read_only
 
 FLAT = 1e-3  # largest component of the gradient, by prior standard deviations, that counts as zero
 MOST_ROWS = 5_000  # whose exact Hessian takes a few seconds

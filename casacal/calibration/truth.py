@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.binding.seen import seen
 from casacal.calibration import result_parts as parts
-from casacal.compensation.result_file import sealed
+from casacal.data.samples import Samples, write_samples
+from casacal.deployment.result_file import sealed
 from casacal.errors import CasacalError
 from casacal.files import side_by_side, write_json
-from casacal.least_squares.result import Result, Status
-from casacal.problem.problem_file import ProblemFile
-from casacal.samples.samples import Samples, write_samples
+from casacal.fit.bound_problem import BoundProblem, bind
+from casacal.fit.result import Result, Status
+from casacal.fit.seen import seen
+from casacal.model.problem_file import ProblemFile
 from casacal.simulation.simulate import Simulation
 from casacal.version import __version__
 

@@ -1,1 +1,1 @@
-"""Changes: whether an arm has changed since it was calibrated, what, by how much, and the result after it."""
+"""Changes: whether an arm has changed since it was calibrated, what, and by how much."""

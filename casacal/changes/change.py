@@ -6,10 +6,9 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from casacal.array_types import Array
-from casacal.calibration.opened import Judged
-from casacal.samples.samples import Samples
-from casacal.values import Value, frozen
+from casacal.calibration.fresh import Judged
+from casacal.data.samples import Samples
+from casacal.values import Array, Value, frozen
 from casacal.wording import capital, chance, listed, numbered_lines, times, with_spread
 
 INTERVAL = 1.96  # standard deviations of an interval of 95 %

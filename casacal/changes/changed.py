@@ -10,17 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.calibration.fresh import with_memory
-from casacal.calibration.opened import Opened, opened
+from casacal.calibration.fresh import Opened, opened, with_memory
 from casacal.calibration.saved import AsArm
 from casacal.changes.change import CHANGED, NOTHING, ROWS, UNDECIDED, CauseFound, Change, Shown
-from casacal.changes.explain import SURE, UNEXPLAINED, Explanation, contenders, explanations, telling
-from casacal.changes.look import Look
-from casacal.compensation.arm import CalibratedArm
+from casacal.changes.explain import SURE, UNEXPLAINED, Explanation, Look, contenders, explanations, telling
+from casacal.data.samples import Samples
+from casacal.deployment.arm import CalibratedArm
 from casacal.errors import CasacalError, SamplesError, came
-from casacal.problem.problem import Problem
-from casacal.problem.problem_file import ProblemFile
-from casacal.samples.samples import Samples
+from casacal.model.problem import Problem
+from casacal.model.problem_file import ProblemFile
 from casacal.values import is_real
 
 MOST = 1500  # rows that are looked at: each is compared with every cause as one that is off

@@ -20,9 +20,9 @@ from casacal.wording import mm
 
 if TYPE_CHECKING:
     from casacal.calibration.calibration import Calibration
-    from casacal.compensation.arm import CalibratedArm
-    from casacal.problem.problem_file import ProblemFile
-    from casacal.uncertainty.expectation import Box
+    from casacal.deployment.arm import CalibratedArm
+    from casacal.model.problem_file import ProblemFile
+    from casacal.uncertainty.tip_error import Box
 
 HELP = "calibrate the arm from samples"
 METHOD_NAMES = ("lm", "sckf", "sckf-lm", "ekf", "annealing", "swarm", "evolution", "ipopt", "plane-only")
@@ -70,8 +70,8 @@ def run(options: argparse.Namespace) -> int:
     from casacal.calibration.calibrate import calibrate
     from casacal.calibration.result_json import FILES
     from casacal.files import check_writable
-    from casacal.least_squares.losses import huber, tukey
-    from casacal.problem.problem_file import load_problem
+    from casacal.kernels.losses import huber, tukey
+    from casacal.model.problem_file import load_problem
 
     if options.out is not None:
         if not options.out.strip() or (Path(options.out).exists() and not Path(options.out).is_dir()):
@@ -118,7 +118,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _since(options: argparse.Namespace) -> tuple[dict[str, float | None], list[str], CalibratedArm | None]:
     """Stds by name of --loosen, names of --standing, and the result of --prior-from; None where there is none."""
-    from casacal.compensation.result_file import read_result
+    from casacal.deployment.result_file import read_result
 
     given = common.names_of("--loosen", options.loosen)
     stds: dict[str, float | None] = dict.fromkeys(name for name in given if "=" not in name)
@@ -137,13 +137,12 @@ def _since(options: argparse.Namespace) -> tuple[dict[str, float | None], list[s
 
 def _told(calibration: Calibration, source: ProblemFile, box: Box | None, options: argparse.Namespace) -> int:
     """Say what was found, in the form that is asked for, and write the files; returns 0 or 1."""
-    from casacal.calibration.brief import MOST_LINES, brief
     from casacal.calibration.result_json import calibration_document, write_calibration
-    from casacal.calibration.summary import summary
+    from casacal.calibration.summary import MOST_LINES, brief, summary
     from casacal.calibration.tables import corrected_words
     from casacal.calibration.verdict import verdict_of
-    from casacal.problem.problem_text import FILL_IN
-    from casacal.uncertainty.expectation import accuracy_in_box
+    from casacal.model.problem_text import FILL_IN
+    from casacal.uncertainty.tip_error import accuracy_in_box
 
     verdict = verdict_of(calibration)
     denied = verdict.level == "do not use"
@@ -159,7 +158,7 @@ def _told(calibration: Calibration, source: ProblemFile, box: Box | None, option
     if not denied and calibration.corrected:
         expected.append(" ".join(corrected_words(calibration)))
     folder = None if options.out is None else Path(options.out).as_posix()
-    last = "Parameters and what the samples do not show: --verbose"
+    last = "--verbose: parameters and unobservable directions"
     if folder is not None:
         last = f"Written: {folder}/report.html and result.json"
     if options.json:

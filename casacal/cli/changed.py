@@ -9,7 +9,7 @@ from casacal.cli import common
 from casacal.cli.common import DONE, FAILED, JSON, add, whole_number
 from casacal.cli.terminal import answer
 
-HELP = "tell whether the robot has changed since, what, and by how much"
+HELP = "detect changes since calibration: what, and by how much"
 
 TOUCHES = 6  # how many touches are proposed where causes cannot be told apart
 
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Look as the options say; returns 0, or 1 when something changed or cannot be told."""
-    from casacal.calibration.opened import opened
+    from casacal.calibration.fresh import opened
     from casacal.changes.changed import looked
     from casacal.changes.explain import write_touches
 

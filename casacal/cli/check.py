@@ -23,8 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Check as the options say; returns 0, or 1 when a result would be wrong."""
-    from casacal.checks.check import check
-    from casacal.problem.problem_file import load_problem
+    from casacal.calibration.check import check
+    from casacal.model.problem_file import load_problem
 
     source = load_problem(options.problem)
     samples = read_samples(source, options, absurd=True)

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
-    from casacal.array_types import Array
-    from casacal.compensation.arm import CalibratedArm
+    from casacal.data.samples import Measurements, Samples
+    from casacal.deployment.arm import CalibratedArm
+    from casacal.model.problem import Problem
+    from casacal.model.problem_file import ProblemFile
     from casacal.planning.candidates import Clearance
-    from casacal.problem.problem import Problem
-    from casacal.problem.problem_file import ProblemFile
-    from casacal.samples.samples import Measurements, Samples
-    from casacal.uncertainty.expectation import Box
+    from casacal.uncertainty.tip_error import Box
+    from casacal.values import Array
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -103,10 +103,10 @@ def add_fresh_rows(parser: argparse.ArgumentParser, standing: str) -> None:
 
 def fresh_rows(options: argparse.Namespace) -> tuple[CalibratedArm, ProblemFile | None, str | None, Samples]:
     """The result that `add_fresh_rows` names, a problem of another instrument, which instrument it is, and its rows."""
-    from casacal.calibration.opened import measured_by
-    from casacal.compensation.result_file import read_result
-    from casacal.compensation.seen_by import seen_by
-    from casacal.problem.problem_file import load_problem
+    from casacal.calibration.fresh import measured_by
+    from casacal.deployment.arm import seen_by
+    from casacal.deployment.result_file import read_result
+    from casacal.model.problem_file import load_problem
 
     if not options.samples.strip():
         raise CasacalError("SAMPLES is empty", "Name a file of fresh rows")
@@ -135,8 +135,8 @@ def spare(outs: Iterable[str | Path], *inputs: str | Path | None, option: str = 
 
 def read_arm(options: argparse.Namespace, *inputs: str | None) -> CalibratedArm:
     """RESULT as --instrument sees it; CasacalError where --out would overwrite it, these, or what it is made from."""
-    from casacal.compensation.result_file import read_result
-    from casacal.compensation.seen_by import seen_by
+    from casacal.deployment.arm import seen_by
+    from casacal.deployment.result_file import read_result
 
     spare([options.out], options.result, *inputs)
     result = seen_by(read_result(options.result), options.instrument)
@@ -212,7 +212,7 @@ def sample_files(source: ProblemFile, options: argparse.Namespace) -> dict[str, 
 
 def read_samples(source: ProblemFile, options: argparse.Namespace, *, absurd: bool = False) -> Samples | Measurements:
     """The samples of the only instrument, or of all; raises CasacalError as `sample_files` and `Problem.read` do."""
-    from casacal.samples.samples import Measurements
+    from casacal.data.samples import Measurements
 
     problem, files = source.problem, sample_files(source, options)
     if len(files) == 1:
@@ -295,7 +295,7 @@ def add_where(parser: argparse.ArgumentParser) -> None:
 
 def where(options: argparse.Namespace, source: ProblemFile) -> tuple[Box | None, Array | None]:
     """The box and the joint values (M, n) that were named."""
-    from casacal.compensation.predict import joints_from
+    from casacal.deployment.predict import joints_from
 
     box = None if options.box is None else box_of(options.box)
     return box, None if options.targets is None else joints_from(options.targets, source).joints

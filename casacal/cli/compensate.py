@@ -13,8 +13,8 @@ from casacal.errors import CasacalError
 from casacal.wording import capital
 
 if TYPE_CHECKING:
-    from casacal.array_types import Array
-    from casacal.robots.robot import Robot
+    from casacal.model.robot import Robot
+    from casacal.values import Array
 
 HELP = "correct joint targets for the calibrated arm"
 SHOWN = 5  # targets not reached that are named one by one
@@ -42,9 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Compensate as the options say; returns 0, or 1 when a target is not reached."""
-    from casacal.compensation.compensate import compensate
-    from casacal.compensation.programs import notes, rounding_of, text_of
-    from casacal.compensation.targets import Outcome, read_targets
+    from casacal.deployment.compensate import Outcome, compensate, read_targets
+    from casacal.deployment.programs import notes, rounding_of, text_of
     from casacal.files import write_text
 
     if not 0 < options.largest < math.inf:
@@ -78,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _outside(joints: Array, robot: Robot) -> Iterator[str]:
     """Words for each joint value (n,; rad, mm) that is outside its limits."""
-    from casacal.compensation.compensate import ROUNDED
+    from casacal.deployment.compensate import ROUNDED
 
     ends = zip(joints.tolist(), *(limit.tolist() for limit in robot.limits), robot.axes, strict=True)
     for k, (q, low, high, axis) in enumerate(ends, 1):

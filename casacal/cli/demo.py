@@ -10,7 +10,7 @@ from casacal.cli.common import DONE, add, whole_number
 from casacal.cli.terminal import say, say_paragraphs
 from casacal.errors import CasacalError
 
-HELP = "goes the whole way with a simulated arm"
+HELP = "run the full workflow on a simulated arm"
 
 SHEET = """# written by casacal demo
 # name: UR5

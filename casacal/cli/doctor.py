@@ -38,9 +38,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Diagnose as the options say; returns 0, or 1 when the conventions are not certain."""
-    from casacal.doctor import diagnose, read_pendant_rows
+    from casacal.doctor.diagnosis import diagnose
+    from casacal.doctor.pendant_rows import read_pendant_rows
     from casacal.doctor.words import diagnosis_text
-    from casacal.problem.problem_file import load_problem
+    from casacal.model.problem_file import load_problem
 
     robot = load_problem(options.problem).problem.robot
     rows = read_pendant_rows(options.poses, robot.revolute.tolist())
@@ -81,7 +82,7 @@ def _pose(option: str, text: str | None) -> NDArray[np.float64] | None:
     """A pose (4, 4; mm) from X,Y,Z or X,Y,Z,QW,QX,QY,QZ."""
     import numpy as np
 
-    from casacal.kinematics import turns_of
+    from casacal.model.kinematics import turns_of
 
     if text is None:
         return None

@@ -30,9 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write a calibrated arm in the form that --to names; returns 0."""
-    from casacal.export.forms import export
-    from casacal.export.remark import remark
-    from casacal.export.work_frame import frame_text
+    from casacal.deployment.export import export
+    from casacal.deployment.remark import remark
+    from casacal.deployment.work_frame import frame_text
     from casacal.files import write_text
 
     if options.to != "frame" and (options.faces or options.points):

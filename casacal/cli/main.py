@@ -65,25 +65,26 @@ def heard(run: Callable[[], int]) -> int:
 
 
 COMMANDS = (
+    "new",
+    "doctor",
     "plan",
     "measure",
-    "calibrate",
-    "simulate",
     "check",
-    "doctor",
-    "predict",
+    "calibrate",
     "verify",
     "changed",
+    "predict",
     "compensate",
+    "export",
+    "simulate",
+    "demo",
     "study",
     "bench",
-    "new",
-    "export",
-    "demo",
     "schema",
     "completion",
 )
-"""Each a module of `casacal.cli` with `HELP`, `add_arguments(parser)` and `run(options)`; imported when typed."""
+"""In the order of the work. Each is a module of `casacal.cli` with `HELP`, `add_arguments(parser)` and `run(options)`,
+imported when it is typed."""
 
 EPILOG = (
     "The flange is the end of the arm (robot.pose of the problem); the tip is where the instrument touches. Lengths "

@@ -19,10 +19,10 @@ from casacal.cli.terminal import prompt, say_paragraphs
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
-    from casacal.measuring.gauges import Entry, Gauge, SerialLine
-    from casacal.measuring.session import Session
-    from casacal.measuring.touch import TouchFile
-    from casacal.problem.problem_file import ProblemFile
+    from casacal.model.problem_file import ProblemFile
+    from casacal.shopfloor.gauges import Entry, Gauge, SerialLine
+    from casacal.shopfloor.session import Session
+    from casacal.shopfloor.touch import TouchFile
 
 HELP = "take touches at the machine, each judged at once"
 
@@ -57,8 +57,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Hold a session; returns 0, or 1 where a tolerance is not met."""
-    from casacal.measuring.gauges import SerialLine, gauge
-    from casacal.problem.problem_file import load_problem
+    from casacal.model.problem_file import load_problem
+    from casacal.shopfloor.gauges import SerialLine, gauge
 
     source = common.of_instrument(load_problem(options.problem), options.instrument)
     common.spare([options.out], *(file.path for file in source.files), options.plan, options.targets, own=True)
@@ -73,10 +73,10 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, TouchFile]:
-    from casacal.measuring.session import Session
-    from casacal.measuring.touch import TouchFile
+    from casacal.data.columns import Labels
     from casacal.planning.route import read_route, refuse_plan_of_another
-    from casacal.tables.columns import Labels
+    from casacal.shopfloor.session import Session
+    from casacal.shopfloor.touch import TouchFile
 
     layout = source.problem.layout()
     route = read_route(options.plan, layout)
@@ -109,7 +109,7 @@ def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, T
 
 
 def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | None) -> Session:
-    from casacal.measuring.conversation import answered, doubt, ended, posture, repeats_last, waiting
+    from casacal.shopfloor.conversation import answered, doubt, ended, posture, repeats_last, waiting
 
     say_paragraphs(*doubt(session), "h: help; q: end")
     entered, sizes = _entries(line, meter, reads=bool(file.layout.columns)), file.sizes()
@@ -156,7 +156,7 @@ def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | No
 
 def _further(session: Session) -> bool:
     """Say how many touches beyond the plan it takes, now and then; whether there is any sense in more."""
-    from casacal.measuring.known import MOST
+    from casacal.shopfloor.known import MOST
 
     beyond = sum(touch.number is None for touch in session.touches)
     if beyond % EVERY:
@@ -172,7 +172,7 @@ def _further(session: Session) -> bool:
 
 def _entries(line: SerialLine | None, meter: Gauge, *, reads: bool) -> Iterator[Entry]:
     """Entries of keyboard and gauge, each after its own prompt; `reads`: Enter alone asks the gauge for a reading."""
-    from casacal.measuring.gauges import Entry, Inbox
+    from casacal.shopfloor.gauges import Entry, Inbox
 
     if line is None:
         prompt("> ")

@@ -32,9 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write a problem folder for a DH table or a URDF; returns 0."""
-    from casacal.problem.new import new_from_dh, new_from_urdf
-    from casacal.problem.problem_text import Given
-    from casacal.robots.dh_table import BLOCK_FIELDS, unread_keys
+    from casacal.model.dh_table import BLOCK_FIELDS, unread_keys
+    from casacal.model.new import new_from_dh, new_from_urdf
+    from casacal.model.problem_text import Given
 
     sign = None if options.sign is None else int(options.sign)
     tool = None if options.tool is None else _triple(options.tool)

@@ -15,9 +15,9 @@ from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
+    from casacal.model.problem_file import ProblemFile
     from casacal.planning.candidates import Clearance
     from casacal.planning.plan import Plan
-    from casacal.problem.problem_file import ProblemFile
 
 HELP = "plan which touches to make"
 
@@ -54,10 +54,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Plan as the options say; returns 0."""
+    from casacal.model.problem_file import load_problem
     from casacal.planning.plan import cell_words, document, told
     from casacal.planning.route import FIT, touches_needed
     from casacal.planning.set_ups import POOL, SetUp, set_ups
-    from casacal.problem.problem_file import load_problem
 
     if options.touches is not None and options.tolerance is not None:
         raise CasacalError("Got --touches and --tolerance", "Give one of them")
@@ -100,7 +100,7 @@ def _wrong_with(source: ProblemFile, options: argparse.Namespace) -> list[str]:
     """A warning of single rows of --after that look wrong; raises CasacalError where more than single rows do."""
     if (after := options.after) is None:
         return []
-    from casacal.checks.check import check
+    from casacal.calibration.check import check
 
     found = check(source.problem, source.problem.read(after))
     if not (wrong := [finding for finding in found if finding.severity == "error"]):
@@ -146,8 +146,8 @@ def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Cleara
 
 def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clearance: Clearance | None) -> list[str]:
     """Write the plan and what was asked for beside it; all is made before anything is written."""
-    from casacal.fieldwork.handouts import PROGRAMS, approaches, program_text, sheet_page
     from casacal.files import together, write_text
+    from casacal.planning.handouts import PROGRAMS, approaches, program_text, sheet_page
     from casacal.planning.plan import cell_words, plan_text
 
     problem, name = source.problem, source.name

@@ -32,8 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Predict as the options say; returns 0."""
-    from casacal.compensation.predict import joints_from, predict, write_prediction
-    from casacal.compensation.told import told_notes
+    from casacal.deployment.arm import told_notes
+    from casacal.deployment.predict import joints_from, predict, write_prediction
 
     result = read_arm(options, options.joints)
     joints = joints_from(options.joints, result.source)

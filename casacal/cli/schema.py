@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(_options: argparse.Namespace) -> int:
     """Print the schema; returns 0."""
-    from casacal.compensation.document import schema_text
+    from casacal.deployment.result_file import schema_text
 
     say(schema_text().rstrip())
     return DONE

@@ -13,10 +13,10 @@ from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
+    from casacal.data.samples import Samples
+    from casacal.model.problem_file import ProblemFile
+    from casacal.model.robot import Robot
     from casacal.planning.route import Route
-    from casacal.problem.problem_file import ProblemFile
-    from casacal.robots.robot import Robot
-    from casacal.samples.samples import Samples
     from casacal.simulation.cell import Disturbances
     from casacal.simulation.simulate import Simulation
 
@@ -69,12 +69,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Simulate as the options say; returns 0."""
-    from casacal.binding.bound_problem import bind
     from casacal.calibration.truth import sample_paths, write_simulation
-    from casacal.problem.problem_file import load_problem
+    from casacal.fit.bound_problem import bind
+    from casacal.model.problem_file import load_problem
     from casacal.simulation.cell import Cell
     from casacal.simulation.simulate import simulate
-    from casacal.uncertainty.expectation import planned_accuracy
+    from casacal.uncertainty.tip_error import planned_accuracy
     from casacal.wording import METRE, UNBOUNDED
 
     out = Path(options.out)
@@ -173,8 +173,8 @@ def _parted(simulation: Simulation, route: Route | None) -> tuple[Simulation, Sa
     """The rows to fit, and those that the plan keeps to verify, if any."""
     import numpy as np
 
+    from casacal.data.samples import Measurements
     from casacal.planning.route import CHECK
-    from casacal.samples.samples import Measurements
 
     if route is None:
         return simulation, None

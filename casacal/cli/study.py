@@ -15,7 +15,7 @@ from casacal.cli.terminal import complain, say_paragraphs, write_progress
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
-    from casacal.study import Run, Study
+    from casacal.study.description import Run, Study
     from casacal.study.study_file import StudyFile
 
 HELP = "run a study of many trials and methods"
@@ -65,7 +65,7 @@ def run_source(source: StudyFile, options: argparse.Namespace) -> int:
 
 
 def _reported(source: StudyFile, options: argparse.Namespace) -> int:
-    from casacal.study import Run
+    from casacal.study.description import Run
     from casacal.study.study_file import machine, note_machines, write_report
 
     if source.skipped and not options.report:

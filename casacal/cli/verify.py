@@ -31,9 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Verify as the options say; returns 0, or 1 when the promise was not kept or the arm not accepted."""
-    from casacal.compensation.arm import TRUTH
+    from casacal.deployment.arm import TRUTH
     from casacal.files import LOOKED_AT, write_text
-    from casacal.verification.decision import RISK
+    from casacal.verification.arm_error import RISK
     from casacal.verification.page import REPORT, with_section
     from casacal.verification.verify import verify
 

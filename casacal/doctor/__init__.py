@@ -1,6 +1,6 @@
 """The convention doctor: what a controller's joint values and poses mean to a model, from rows of its pendant.
 
-The data doctor, `casacal.checks`, looks at samples instead.
+The data doctor, `casacal check`, looks at samples instead.
 """
 
 from casacal.doctor.diagnosis import Diagnosis, diagnose

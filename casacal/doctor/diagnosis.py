@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casacal.array_types import Array, Index
 from casacal.doctor.pendant_rows import ANGLES, LENGTHS, PendantRows, angle_between, rotations_as, rotations_of
 from casacal.doctor.search import Axes, Halves, Integers, axes_of, one_change_away, poses_of, settings_changed
 from casacal.errors import CasacalError
-from casacal.robots.dh_table import DHTable
-from casacal.robots.joints import Conventions
-from casacal.robots.robot import AXIS_WEIGHT, Robot, inside_limits, random_joints
+from casacal.model.dh_table import DHTable
+from casacal.model.joints import Conventions
+from casacal.model.robot import AXIS_WEIGHT, Robot, inside_limits, random_joints
+from casacal.values import Array, Index
 
 SAME = 1e-6  # difference (mm; rad) at random joint values below which two conventions are one
 COMPARED = 24  # random joint values at which they are compared

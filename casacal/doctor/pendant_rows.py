@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from casacal.array_types import Array
+from casacal.data.text import Table, read_table
 from casacal.errors import SamplesError
-from casacal.tables.text import Table, read_table
+from casacal.values import Array
 
 ANGLES = {"deg": np.pi / 180, "rad": 1.0}
 LENGTHS = {"mm": 1.0, "m": 1000.0}  # units that are tried, with their factor to rad and mm

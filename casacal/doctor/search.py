@@ -22,11 +22,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.array_types import Array, Index
 from casacal.errors import ProblemError
 from casacal.kernels.block_rows import Batch
-from casacal.kinematics import stacked_poses
-from casacal.robots.robot import Robot, random_joints
+from casacal.model.kinematics import stacked_poses
+from casacal.model.robot import Robot, random_joints
+from casacal.values import Array, Index
 
 EXACT = 1e-7  # miss (mm; rad) below which the axes reproduce the robot's pose
 

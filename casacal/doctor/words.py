@@ -7,9 +7,9 @@ from collections.abc import Iterable, Sequence
 
 from casacal.doctor.diagnosis import ENOUGH, Diagnosis
 from casacal.doctor.pendant_rows import MEANINGS
-from casacal.problem.problem_text import conventions_line
-from casacal.robots.dh_table import conventions_toml
-from casacal.robots.joints import Conventions, Joint
+from casacal.model.dh_table import conventions_toml
+from casacal.model.joints import Conventions, Joint
+from casacal.model.problem_text import conventions_line
 
 SHOWN = 4  # values of one setting that are listed when it is open
 

@@ -10,11 +10,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casacal.array_types import Array
+from casacal.kernels.losses import Loss
 from casacal.kernels.program import Program, read_program
 from casacal.kernels.rows import Kernels, Lanes, lane_data
-from casacal.least_squares.losses import Loss
 from casacal.threads import shared_out
+from casacal.values import Array
 
 BLOCK = 256  # rows that a map evaluates in one call; larger ones cost memory and time to build
 
@@ -243,7 +243,7 @@ class CurvatureKernel:
     """|We|^2 / 2, its gradient and its Hessian by v, for a residual (v, c, d) -> e (m) and rows of d and weights W.
 
     The Hessian is J'WWJ, one matrix product a block, and sum w^2 e d2e/dv2, of which only the upper triangle's entries
-    that are not zero are evaluated. Of the last `linear` of v, small effects about zero, second derivatives are left
+    that are not zero are evaluated. Of the last `linear` of v, small unknowns about zero, second derivatives are left
     out, and the others' are taken where these are zero: steps need no more. With a loss the cost is its sum, W takes
     the root of its weights, so that the gradient is exact, and the Hessian is J'WWJ alone: in the exact one, rows
     beyond the threshold count nothing or less, and solvers lose their way.

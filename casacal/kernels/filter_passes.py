@@ -12,12 +12,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.array_types import Array
 from casacal.kernels.block_rows import Buffered, replayed
 from casacal.kernels.libraries import CompilerError, load_library
 from casacal.kernels.native_rows import PAD, filter_source
 from casacal.kernels.program import read_program
-from casacal.least_squares.linalg import LEAST_LEFT
+from casacal.linalg import LEAST_LEFT
+from casacal.values import Array
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,11 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from casacal.array_types import Array, Index
 from casacal.kernels.libraries import CompilerError, load_library
 from casacal.kernels.program import TRIGONOMETRIC, C, Kind, Program, name_of
 from casacal.kernels.rows import Kernels, Lanes, Piece
 from casacal.threads import shared_out
+from casacal.values import Array, Index
 
 KERNELS = ("rows.c", "normal_equations.c", "extended_filter.c")
 FILTER = ("cubature_filter.c",)

@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from casacal.array_types import Array, Index
 from casacal.kernels.program import Program, evaluate
+from casacal.values import Array, Index
 
 
 @dataclass(frozen=True)

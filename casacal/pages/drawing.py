@@ -14,7 +14,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from casacal.array_types import Array, Index
+from casacal.values import Array, Index
 from casacal.wording import capital, sized
 
 UNSHOWABLE = re.compile(

@@ -1,1 +1,1 @@
-"""Which measurements to make: the postures that tell most of where the tip will be wanted."""
+"""Planning: the touches that tell most of where the tip will be wanted, their route, and advice after a fit."""

@@ -1,6 +1,6 @@
 """Touches that the arm can make and keep clear of table, boxes and itself.
 
-An arm is a chain of rods between its axes, as thick as is said; see `casacal.robots.links`. Points along the rods are
+An arm is a chain of rods between its axes, as thick as is said; see `casacal.model.links`. Points along the rods are
 looked at, so that what is closer than half a spacing may pass unseen: give the links a little more than they measure.
 """
 
@@ -12,20 +12,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casacal.array_types import Array, Rows
-from casacal.binding.nominal import nominal_tips
+from casacal.data.samples import Samples, joined
 from casacal.errors import CasacalError, SimulationError, came
-from casacal.instruments.description import Probe
-from casacal.problem.problem import Problem
-from casacal.robots.links import STILL, above_table, nodes_of
-from casacal.robots.robot import Robot
-from casacal.samples.samples import Samples, joined
+from casacal.fit.nominal import nominal_tips
+from casacal.model.instrument import Probe
+from casacal.model.links import STILL, above_table, nodes_of
+from casacal.model.problem import Problem
+from casacal.model.robot import Robot
 from casacal.simulation.cell import Cell, Disturbances
-from casacal.simulation.reach import TouchingArm
 from casacal.simulation.simulate import simulate
-from casacal.simulation.touches import default_cell, true_unknowns
-from casacal.uncertainty.expectation import Box
-from casacal.values import Value, is_real
+from casacal.simulation.touches import TouchingArm, default_cell, true_unknowns
+from casacal.uncertainty.tip_error import Box
+from casacal.values import Array, Rows, Value, is_real
 
 ALONG = 12  # points looked at on every rod, its ends among them
 

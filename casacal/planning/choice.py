@@ -15,14 +15,13 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from casacal.array_types import Array, Index, Rows
-from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.slots import instances
+from casacal.data.samples import Samples
 from casacal.errors import CasacalError
-from casacal.problem.problem import Problem
-from casacal.samples.samples import Samples
-from casacal.uncertainty.expectation import Box, joints_in_box
-from casacal.uncertainty.workspace import up_to_base, workspace_joints
+from casacal.fit.bound_problem import BoundProblem
+from casacal.fit.slots import instances
+from casacal.model.problem import Problem
+from casacal.uncertainty.tip_error import Box, joints_in_box, up_to_base, workspace_joints
+from casacal.values import Array, Index, Rows
 
 SWEEPS = 10  # times that every row of a plan is tried against all others
 BETTER = 1e-7  # part of the error by which an exchange must lower it

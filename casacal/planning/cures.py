@@ -13,22 +13,22 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from casacal.array_types import Array
-from casacal.binding.bound_problem import OTHERS, BoundProblem, by_face, times
-from casacal.binding.seen import Seen, seen
-from casacal.binding.slots import Slot, make_slots
+from casacal.data.samples import Samples
+from casacal.effects.selection import MANY
 from casacal.errors import CasacalError
-from casacal.least_squares.linalg import posterior_covariance
+from casacal.fit.bound_problem import OTHERS, BoundProblem, by_face, times
+from casacal.fit.seen import Seen, seen
+from casacal.fit.slots import Slot, make_slots
+from casacal.linalg import posterior_covariance
+from casacal.model.problem import Problem
 from casacal.planning.choice import Choice
 from casacal.planning.offers import EXTRA_TOUCHES, CalibratedCell, Offer, more_samples, offers
-from casacal.problem.problem import Problem
-from casacal.samples.samples import Samples
 from casacal.simulation.bench import bench_of, exact_rows
 from casacal.simulation.cell import Cell, Disturbances
 from casacal.simulation.touches import Draw
-from casacal.uncertainty.discrepancy import MANY
 from casacal.uncertainty.identifiability import NullDirection, WeakDirection, prior_scale
-from casacal.uncertainty.workspace import tip_stds, tool_unknowns, without_rigid, workspace_joints
+from casacal.uncertainty.tip_error import tip_stds, tool_unknowns, without_rigid, workspace_joints
+from casacal.values import Array
 from casacal.wording import listed
 
 GAIN = 0.95  # expected tip error over that without a cure, above which it is not worth recommending

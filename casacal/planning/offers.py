@@ -8,17 +8,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casacal.array_types import Array, Index
-from casacal.binding.bound_problem import BoundProblem, by_face
-from casacal.binding.slots import ENOUGH
-from casacal.instruments.description import Probe
-from casacal.problem.problem import Problem
-from casacal.samples.samples import Samples
+from casacal.data.columns import Labels
+from casacal.data.samples import Samples
+from casacal.fit.bound_problem import BoundProblem, by_face
+from casacal.fit.slots import ENOUGH
+from casacal.model.geometry import fitted_plane
+from casacal.model.instrument import Probe
+from casacal.model.problem import Problem
 from casacal.simulation.cell import Cell, Face, triple
-from casacal.simulation.reach import TouchingArm
-from casacal.simulation.touches import ROUNDS, try_touches
-from casacal.tables.columns import Labels
-from casacal.unknowns.geometry import fitted_plane
+from casacal.simulation.touches import ROUNDS, TouchingArm, try_touches
+from casacal.values import Array, Index
 
 DRAWN = 240  # touches that are drawn on the faces of a cell, to choose among
 ENOUGH_OF_THEM = 0.8  # part of these that has to be found, where it can be: the last ones are the hardest to reach

@@ -12,23 +12,22 @@ from typing import Any, get_args
 
 import numpy as np
 
-from casacal.array_types import Array, Index, Rows
-from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.binding.nominal import nominal_tips
-from casacal.binding.slots import instances, make_slots
+from casacal.data.samples import Samples, joined
 from casacal.errors import CasacalError, came, refuse_unknown
 from casacal.files import write_text
-from casacal.instruments.description import readings_within
+from casacal.fit.bound_problem import BoundProblem, bind
+from casacal.fit.nominal import nominal_tips
+from casacal.fit.slots import instances, make_slots
+from casacal.model.instrument import readings_within
+from casacal.model.links import is_chain
+from casacal.model.problem import Problem
 from casacal.planning.candidates import Clearance, cell_of, drawn_touch, pool_of, refuse_several
 from casacal.planning.choice import Choice, Criterion, seldom, wanted_joints
 from casacal.planning.route import AGAIN, CHECK, FIT, Route, postures_text, shortest_way, touches_needed
 from casacal.planning.set_ups import POOL, SetUp, worth_most
-from casacal.problem.problem import Problem
-from casacal.robots.links import is_chain
-from casacal.samples.samples import Samples, joined
 from casacal.simulation.cell import Cell, Disturbances
-from casacal.uncertainty.expectation import Box
-from casacal.values import FrozenMapping, is_real
+from casacal.uncertainty.tip_error import Box
+from casacal.values import Array, FrozenMapping, Index, Rows, is_real
 from casacal.wording import METRE, UNBOUNDED, html_table
 
 DRAWS = 8  # random plans of as many touches, for comparison; draws of what is lost

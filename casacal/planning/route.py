@@ -9,14 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from casacal.array_types import Array, Index
-from casacal.binding.slots import instances
+from casacal.data.read import read_columns
+from casacal.data.samples import WRITTEN, Layout, Samples, samples_text
 from casacal.errors import CasacalError, SamplesError
-from casacal.problem.problem import Problem
-from casacal.robots.robot import Robot, joint_units
-from casacal.samples.samples import WRITTEN, Layout, Samples, samples_text
-from casacal.tables.read import read_columns
-from casacal.values import Value
+from casacal.fit.slots import instances
+from casacal.model.problem import Problem
+from casacal.model.robot import Robot, joint_units
+from casacal.values import Array, Index, Value
 
 FIT, AGAIN, CHECK = "fit", "again", "check"
 PURPOSES = (FIT, AGAIN, CHECK)

@@ -8,16 +8,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casacal.array_types import Array
-from casacal.binding.bound_problem import bind
 from casacal.errors import CasacalError
+from casacal.fit.bound_problem import bind
+from casacal.model.problem import Problem
 from casacal.planning.candidates import cell_of, pool_of
 from casacal.planning.choice import Choice, wanted_joints
 from casacal.planning.offers import STEP, block_on, fresh, raised, rising
-from casacal.problem.problem import Problem
 from casacal.simulation.cell import Cell, Disturbances
-from casacal.uncertainty.expectation import Box
-from casacal.values import Value
+from casacal.uncertainty.tip_error import Box
+from casacal.values import Array, Value
 
 POOL = 600  # touches among which is chosen in each set-up
 FEW = 3  # touches of each face that show whether it is in reach

@@ -1,1 +1,1 @@
-"""Simulation: an arm drawn from the prior touches the faces of a cell."""
+"""Simulation: an arm drawn from its prior touches the faces of a cell."""

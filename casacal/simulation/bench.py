@@ -8,16 +8,17 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from casacal.array_types import Array, Index, Rows
-from casacal.instruments import Instrument
+from casacal.data.columns import Labels
+from casacal.data.samples import Samples
 from casacal.kernels.block_rows import Batch
-from casacal.problem.problem import Problem
-from casacal.robots.robot import inside_limits, random_joints
-from casacal.samples.samples import Samples
+from casacal.model.geometry import Frame
+from casacal.model.instrument import Instrument
+from casacal.model.problem import Problem
+from casacal.model.robot import inside_limits, random_joints
+from casacal.model.unknown import Unknown
 from casacal.simulation.cell import Cell, Disturbances, Face, rectangles
 from casacal.simulation.touches import Draw, label_names, plane_coordinates, random_tips, spot, stands
-from casacal.tables.columns import Labels
-from casacal.unknowns import Frame, Unknown
+from casacal.values import Array, Index, Rows
 
 
 @dataclass(frozen=True)

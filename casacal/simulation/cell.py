@@ -9,12 +9,11 @@ from typing import Literal
 
 import numpy as np
 
-from casacal.array_types import Array, Index
 from casacal.errors import SimulationError, came
-from casacal.instruments.description import Travel, readings_within
-from casacal.problem.problem_file import Surroundings
-from casacal.unknowns.unknown import tangent_basis, unit_vector
-from casacal.values import plain
+from casacal.model.instrument import Travel, readings_within
+from casacal.model.problem_file import Surroundings
+from casacal.model.unknown import tangent_basis, unit_vector
+from casacal.values import Array, Index, plain
 
 UNBOUNDED = "repeatability resolution joint_std backlash flatness compliance hysteresis drift error_scale"
 AMOUNTS = dict.fromkeys(UNBOUNDED.split(), math.inf) | {

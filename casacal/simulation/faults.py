@@ -9,11 +9,11 @@ from typing import Literal
 
 import numpy as np
 
-from casacal.array_types import Array, Index
 from casacal.errors import SimulationError
-from casacal.robots.robot import Robot
+from casacal.model.robot import Robot
 from casacal.simulation.cell import Cell, Disturbances
-from casacal.simulation.reach import TouchingArm
+from casacal.simulation.touches import TouchingArm
+from casacal.values import Array, Index
 
 TURN = 1.0  # what one turn of the pointer shows, mm
 ROUNDS = 60

@@ -9,14 +9,14 @@ from functools import cached_property
 
 import numpy as np
 
-from casacal.array_types import Array, Index, Rows
-from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.data.columns import Labels
+from casacal.data.samples import Layout, Measurements, Samples
 from casacal.errors import SamplesError, SimulationError, came
-from casacal.estimators import lm
-from casacal.instruments.description import Probe, readings_within
-from casacal.least_squares.conditioned import Conditioned
-from casacal.problem.problem import Problem
-from casacal.samples.samples import Layout, Measurements, Samples
+from casacal.fit.bound_problem import BoundProblem, bind
+from casacal.fit.least_squares import Conditioned
+from casacal.fit.lm import lm
+from casacal.model.instrument import Probe, readings_within
+from casacal.model.problem import Problem
 from casacal.simulation.bench import Bench, bench_of, found_rows, read_there
 from casacal.simulation.cell import Cell, Disturbances, Face, levels, rectangles
 from casacal.simulation.faults import (
@@ -31,12 +31,12 @@ from casacal.simulation.faults import (
     ways,
     weighed,
 )
-from casacal.simulation.reach import TouchingArm
 from casacal.simulation.touches import (
     EDGE,
     MOST_ROUNDS,
     ROUNDS,
     Draw,
+    TouchingArm,
     check_asked,
     default_cell,
     frame_coordinates,
@@ -47,8 +47,7 @@ from casacal.simulation.touches import (
     true_unknowns,
     try_touches,
 )
-from casacal.tables.columns import Labels
-from casacal.values import FrozenMapping, Value
+from casacal.values import Array, FrozenMapping, Index, Rows, Value
 
 
 @dataclass(frozen=True)

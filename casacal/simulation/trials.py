@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.errors import StudyError
-from casacal.least_squares.result import Result
-from casacal.problem.problem import Problem
+from casacal.fit.bound_problem import BoundProblem, bind
+from casacal.fit.result import Result
+from casacal.model.problem import Problem
 from casacal.simulation.cell import Cell
 from casacal.simulation.simulate import simulate
 from casacal.uncertainty.figures import nees, residual_figures
-from casacal.uncertainty.workspace import bayesian_bound, tip_rms, tip_stds, up_to_base, without_rigid, workspace_joints
+from casacal.uncertainty.tip_error import bayesian_bound, tip_rms, tip_stds, up_to_base, without_rigid, workspace_joints
+from casacal.values import Array
 
 Z95 = 1.959963984540054  # half width of a 95 % interval in standard deviations
 

@@ -20,20 +20,19 @@ from typing import Any
 
 import numpy as np
 
-from casacal.array_types import Array, Index
-from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.binding.seen import bind_further, extended
+from casacal.data.columns import Labels
+from casacal.data.holdout import REGIONS, splits
+from casacal.data.samples import Samples
 from casacal.errors import CasacalError, UnknownNameError, refuse_unknown
-from casacal.least_squares.result import Result, Status
-from casacal.problem.problem import Problem
-from casacal.problem.problem_file import load_problem
-from casacal.samples.samples import Samples
+from casacal.fit.bound_problem import BoundProblem, bind
+from casacal.fit.result import Result, Status
+from casacal.fit.seen import bind_further, extended
+from casacal.model.problem import Problem
+from casacal.model.problem_file import load_problem
 from casacal.study.description import Method, Run, Study
 from casacal.study.statistics import Interval
 from casacal.study.study_file import names_of
-from casacal.tables.columns import Labels
-from casacal.uncertainty.transfer import REGIONS, splits
-from casacal.values import FrozenMapping
+from casacal.values import Array, FrozenMapping, Index
 
 DESCRIPTION, METHODS = "set.toml", "methods.py"
 METRICS = ("distance", "position", "rms")

@@ -25,11 +25,11 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from casacal.array_types import Array
 from casacal.errors import StudyError
 from casacal.files import place_whole, write_text
-from casacal.least_squares.objective import LeastSquares
-from casacal.least_squares.result import Result
+from casacal.fit.least_squares import LeastSquares
+from casacal.fit.result import Result
+from casacal.values import Array
 
 PACKAGES = ("casadi", "numpy", "scipy")  # packages whose version can change a number
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import binomtest, wilcoxon
 
-from casacal.array_types import Array
+from casacal.values import Array
 
 RESAMPLES, AT_ONCE = 4000, 500
 NO_DIFFERENCE = 1e-6

@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from casacal.array_types import Array
 from casacal.errors import said
-from casacal.least_squares.losses import Loss
-from casacal.least_squares.objective import DampedStep, ExtendedPass, FilterPass, LeastSquares, Normal
-from casacal.least_squares.result import Result, as_result
+from casacal.fit.least_squares import DampedStep, ExtendedPass, FilterPass, LeastSquares, Normal
+from casacal.fit.result import Result, as_result
+from casacal.kernels.losses import Loss
 from casacal.study.description import TIMINGS, Key, Record, Study, Trial
+from casacal.values import Array
 
 
 class Metered(LeastSquares):

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem
-from casacal.least_squares.linalg import determined, svd
-from casacal.least_squares.losses import Loss
-from casacal.least_squares.objective import LeastSquares
-from casacal.least_squares.result import Result
+from casacal.fit.bound_problem import BoundProblem
+from casacal.fit.least_squares import LeastSquares
+from casacal.fit.result import Result
+from casacal.kernels.losses import Loss
+from casacal.linalg import determined, svd
+from casacal.values import Array
 
 TOGETHER = 16_384  # rows whose Jacobian is held at a time
 LARGE = 50_000  # rows among which it is no matter whether an unknown more or less was determined

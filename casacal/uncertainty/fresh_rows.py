@@ -23,8 +23,8 @@ from functools import cached_property
 import numpy as np
 from scipy.special import fdtrc, gammaincc, ndtri
 
-from casacal.array_types import Array, Index
-from casacal.least_squares.linalg import inverse_triangle, svd
+from casacal.linalg import inverse_triangle, svd
+from casacal.values import Array, Index
 
 CHANCE = 1e-4  # chance that rows which are as expected have any that is called gross (Bonferroni)
 MOST_GROSS = 0.05  # beyond this fraction of the rows (and three of them) it is not single rows that are off

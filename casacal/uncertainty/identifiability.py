@@ -14,10 +14,10 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from casacal.array_types import Array
-from casacal.least_squares.linalg import correlation, right_directions, svd
-from casacal.least_squares.objective import LeastSquares
-from casacal.uncertainty.workspace import FIELD_TOLERANCE, seen_space, tip_rms, without_rigid
+from casacal.fit.least_squares import LeastSquares
+from casacal.linalg import correlation, right_directions, svd
+from casacal.uncertainty.tip_error import FIELD_TOLERANCE, natural_scale, seen_space, tip_rms, without_rigid
+from casacal.values import Array
 
 Kind = Literal["invisible", "rigid", "scale", "blind"]
 
@@ -28,7 +28,6 @@ CORRELATED = 0.95
 
 LEVER = 1000.0  # millimetres at which an angle counts when unknowns are named by their part in a direction
 
-NATURAL_UNITS = {"rad": 1e-3, "mm": 1.0}
 MEANING: dict[Kind, str] = {
     "invisible": "has no effect on the arm",
     "rigid": "only moves base frame and planes together",
@@ -129,11 +128,6 @@ def identifiability(problem: LeastSquares, tip_jacobian: Array, tips: Array) -> 
     condition = float(sizes[0] / sizes[-1]) if rank else float("inf")
     values = np.concatenate([sizes, np.zeros(problem.unknowns - rank)])
     return Identifiability(problem.unknowns, rank, condition, values, tuple(null), tuple(weak))
-
-
-def natural_scale(problem: LeastSquares) -> Array:
-    """What counts as a small change of each unknown (n,), whatever its prior: 1 mrad, 1 mm."""
-    return np.array([NATURAL_UNITS.get(unit, 1.0) for unit in problem.units])
 
 
 def prior_scale(problem: LeastSquares) -> Array:

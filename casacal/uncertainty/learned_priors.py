@@ -11,15 +11,14 @@ from typing import Protocol
 import numpy as np
 from scipy.optimize import minimize
 
-from casacal.array_types import Array, Index
-from casacal.binding.bound_problem import BoundProblem
 from casacal.errors import CasacalError, ProblemError, came
-from casacal.least_squares.result import Result
-from casacal.problem.problem import Problem
-from casacal.problem.problem_text import FINEST
-from casacal.uncertainty.effect_sizes import NormalEquations, evidence, told
-from casacal.uncertainty.workspace import without_rigid, workspace_joints
-from casacal.values import FrozenMapping, Value
+from casacal.fit.bound_problem import BoundProblem
+from casacal.fit.result import Result
+from casacal.model.problem import Problem
+from casacal.model.problem_text import FINEST
+from casacal.uncertainty.evidence import NormalEquations, evidence, told
+from casacal.uncertainty.tip_error import without_rigid, workspace_joints
+from casacal.values import Array, FrozenMapping, Index, Value
 
 
 def prior_tip_rms(problem: Problem) -> float:

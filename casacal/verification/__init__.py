@@ -1,1 +1,1 @@
-"""Verification: fresh rows, judged without fitting the arm again."""
+"""Verification: fresh rows judged without refitting the arm."""

@@ -9,11 +9,10 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from casacal.compensation.arm import CalibratedArm
+from casacal.deployment.arm import CalibratedArm
 from casacal.errors import CasacalError
 from casacal.pages.drawing import Panel, figure, fixed, mm, number, picture, shortened, tag
-from casacal.verification.arm_error import ErrorInterval, PartError
-from casacal.verification.decision import Decision
+from casacal.verification.arm_error import Decision, ErrorInterval, PartError
 
 LONGEST = 60  # characters of a label in a table
 BEFORE = '<section id="measured"'  # where the section is put

@@ -9,11 +9,10 @@ from typing import Any
 
 from markupsafe import Markup
 
-from casacal.calibration.opened import Judged
+from casacal.calibration.fresh import Judged
 from casacal.pages.drawing import fixed, rendered, shortened
 from casacal.values import Value
-from casacal.verification.arm_error import PartError
-from casacal.verification.decision import Decision
+from casacal.verification.arm_error import Decision, PartError
 from casacal.verification.page import LONGEST, boxes, error_rows, errors_picture
 from casacal.wording import capital, chance, counted, mm, numbered_lines
 from casacal.wording import shortened as first_few

@@ -11,22 +11,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.array_types import Array
-from casacal.calibration.fresh import Fresh
-from casacal.calibration.opened import Opened, opened
+from casacal.calibration.fresh import Fresh, Opened, opened
 from casacal.calibration.saved import AsArm
-from casacal.compensation.arm import CalibratedArm
+from casacal.data.samples import Samples
+from casacal.deployment.arm import CalibratedArm
 from casacal.errors import CasacalError, SamplesError
-from casacal.problem.problem import Problem
-from casacal.problem.problem_file import ProblemFile
-from casacal.samples.samples import Samples
+from casacal.model.problem import Problem
+from casacal.model.problem_file import ProblemFile
 from casacal.uncertainty.figures import rms
 from casacal.uncertainty.fresh_rows import FreshRows, chance, learnt
 from casacal.uncertainty.identifiability import prior_scale
-from casacal.uncertainty.workspace import tip_rms, tip_stds, without_rigid, workspace_joints
-from casacal.values import is_real
-from casacal.verification.arm_error import errors_by_part, seen_by_rows
-from casacal.verification.decision import RISK, Decision, decide
+from casacal.uncertainty.tip_error import tip_rms, tip_stds, without_rigid, workspace_joints
+from casacal.values import Array, is_real
+from casacal.verification.arm_error import RISK, Decision, decide, errors_by_part, seen_by_rows
 from casacal.verification.verification import LEVEL, FaceVerification, Verification
 
 LEAST_RISK = 1e-4  # risk below which nobody knows the noise well enough

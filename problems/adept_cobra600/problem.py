@@ -3,7 +3,7 @@
 import math
 
 from casacal import Cell, DialOnBody, Face, Joint, Parameter, Problem, Robot, chain, deg
-from casacal.kinematics import rotate_x, rotate_y, rotate_z, translate_x, translate_z
+from casacal.model.kinematics import rotate_x, rotate_y, rotate_z, translate_x, translate_z
 
 
 def pose(p, q):

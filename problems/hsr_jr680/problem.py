@@ -1,7 +1,7 @@
 """The paper's robot, an HSR-JR680, with a dial indicator on flat faces (arXiv:2208.02652)."""
 
 from casacal import Cell, DialOnPlane, Joint, Problem, Robot, corner, deg
-from casacal.kinematics import rotate_x, rotation, transform_point
+from casacal.model.kinematics import rotate_x, rotation, transform_point
 
 LIMITS = [(-160, 160), (-85, 85), (-80, 80), (-180, 180), (-115, 115), (-180, 180)]  # plausible; degrees, not printed
 

@@ -6,17 +6,17 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
-from casacal.array_types import Array
-from casacal.binding.bound_problem import bind
 from casacal.calibration.calibrate import calibrate
 from casacal.calibration.verdict import verdict_of
-from casacal.discrepancy import LinkSag, TransmissionError
+from casacal.data.samples import Samples
+from casacal.effects import LinkSag, TransmissionError
 from casacal.errors import CasacalError
-from casacal.estimators import lm
-from casacal.estimators.scipy_least_squares import scipy_least_squares
-from casacal.problem.problem import Problem
-from casacal.samples.samples import Samples
+from casacal.fit.bound_problem import bind
+from casacal.fit.controls import scipy_least_squares
+from casacal.fit.lm import lm
+from casacal.model.problem import Problem
 from casacal.study.benchmark import Told, left
+from casacal.values import Array
 
 MOST_OF_A_PROCESS = 1500  # rows that a Gaussian process is made of; of more, some
 

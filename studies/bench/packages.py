@@ -22,15 +22,15 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from casacal.array_types import Array
-from casacal.binding.bound_problem import bind
+from casacal.data.samples import Samples
+from casacal.deployment.export import roll_pitch_yaw
 from casacal.errors import CasacalError
-from casacal.export.controllers import roll_pitch_yaw
-from casacal.instruments.points import TrackedPoint
-from casacal.instruments.tracked_pose import TrackedPose
-from casacal.problem.problem import Problem
-from casacal.samples.samples import Samples
-from casacal.unknowns.geometry import rigid_fit, transform
+from casacal.fit.bound_problem import bind
+from casacal.model.geometry import rigid_fit, transform
+from casacal.model.points import TrackedPoint
+from casacal.model.problem import Problem
+from casacal.model.tracked_pose import TrackedPose
+from casacal.values import Array
 
 MM = 1000.0  # per metre
 SAME = 1e-6  # mm by which the arm as lines may differ from the arm as drawn

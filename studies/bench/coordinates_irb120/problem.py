@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 
 from casacal import Frame, Instrument, Problem, Robot, Words
-from casacal.kinematics import transform_point
+from casacal.model.kinematics import transform_point
 
 AT_REST = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
 

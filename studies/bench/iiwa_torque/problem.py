@@ -1,7 +1,7 @@
 """A KUKA LBR iiwa 7 with torque sensors in its joints, whose flange something watches."""
 
 from casacal import Problem, Robot, TrackedPose, deg
-from casacal.discrepancy import TorqueCompliance, kit
+from casacal.effects import TorqueCompliance, kit
 
 robot = Robot.from_dh(
     "LBR iiwa 7",

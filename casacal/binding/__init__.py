@@ -1,1 +1,0 @@
-"""Binding: a problem and its samples become one least-squares problem."""

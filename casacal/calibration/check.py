@@ -1,0 +1,311 @@
+"""All the doctor's checks in order: the rows, the set-up, systematic faults, single rows, the noise, the effects."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from casacal.calibration.before_fit import (
+    NO_LENGTH,
+    OUTSIDE,
+    WRONG_SIGN,
+    absent_labels,
+    enough_rows,
+    lost_steps,
+    odd_labels,
+    outside,
+    repeated,
+    rounded,
+    setup_findings,
+    sign_before_fit,
+    upside_down,
+)
+from casacal.calibration.faults import ALIKE, EXPLAINED, SUSPICIOUS, MisfitCause, explained, flips
+from casacal.calibration.finding import Finding, misfit, quick_fit
+from casacal.calibration.numbers import (
+    not_the_same,
+    tool_elsewhere_at,
+    tool_keys,
+    without_its_likes,
+    wrong_number,
+    wrong_scale,
+)
+from casacal.calibration.set_aside import off_their_face, robust_fit, single_rows, studentised_outliers
+from casacal.data.repeats import without_copies
+from casacal.data.samples import Measurements, Samples
+from casacal.effects.selection import dial_errors, effect_sizes_of, with_effects
+from casacal.errors import CasacalError, came
+from casacal.fit.bound_problem import BoundProblem, bind, each_alone
+from casacal.fit.lm import lm
+from casacal.model.problem import Problem
+from casacal.uncertainty.figures import noise_interval
+from casacal.uncertainty.moves import prior_scatter
+from casacal.uncertainty.noise import found_noise
+from casacal.values import Array, Index
+from casacal.wording import listed, sized, times
+
+COUNTED = "Calibrate anyway: the kit of effects accounts for this"
+
+FIXES = {
+    "gain": "Declare gain=dial_gain(0.15), or give its certificate",
+    "cycle": "Declare cycle=dial_cycle(3), or use another dial",
+    "form": "Clean the faces, or use a better plate",
+    "play": "Approach every touch from the same side",
+    "give": f"{COUNTED}. Measure with the load that the arm will carry",
+    "wave1": COUNTED,
+    "wave2": COUNTED,
+    "field": "Look for causes that depend on posture, such as hoses, cables or a soft base",
+    "drift": "Let the dial warm up, fasten it and the faces, and repeat one touch from time to time",
+    "growth": "Let the arm warm up by running its production program before measuring",
+}
+
+OTHERWISE = "Look for its cause, or declare it as an effect of the problem"
+
+
+def beside_geometry(problem: Problem, samples: Samples) -> list[Finding]:
+    """Warnings of what the rows show beside the geometry, with noise and sizes as `calibrate` finds them.
+
+    In blocks, as nothing is worth compiling for one look.
+    """
+    bound = bind(problem.without_terms, samples, backend="blocks")
+    bound = with_effects(bound.with_noise(found_noise(bound).scale), problem)
+    fit = lm(bound)
+    if not fit.converged:
+        return []
+    found: dict[str, Finding] = {}
+    for key, words, evidence, size in _shown(bound, fit.x):
+        fix = FIXES.get(key, OTHERWISE)
+        cause = f"the rows show it ({evidence}): its most likely size is {size}"
+        found.setdefault(fix, Finding("warning", words, cause, fix))  # one that calls for the same says no more
+    return list(found.values())
+
+
+def _shown(bound: BoundProblem, x: Array) -> Iterator[tuple[str, str, str, str]]:
+    """Key, words, evidence and size of what rows show at the minimum x (n,): of the dial, and of the arm."""
+    for error in dial_errors(bound, x):
+        if error.shown:
+            size = f"{error.shown_size}, which moves the tip by {error.tip_mm:.2g} mm RMS"
+            yield error.key, error.words, f"p = {error.chance:.1g}", size
+    for each in effect_sizes_of(bound, x):
+        if each.shown and each.size > each.expected_size:
+            yield each.key, each.words, f"log likelihood {each.gain:+.0f}", sized(each.size, each.unit)
+
+
+APART = 1.5
+"""Times the misfit of the instrument that fits worst alone, beyond which all together contradict one another."""
+
+BY_CHANCE = 1e-4  # chance of a difference, and more, of what is one and the same
+
+
+def contradictions(bound: BoundProblem, measured: Measurements) -> list[Finding]:
+    """An error where each instrument fits by itself and all together do not, or not with what they share."""
+    problem = bound.problem
+    together = misfit(problem, measured)
+    sizes = {each.name: misfit(each.problem, each.samples) for each in each_alone(problem, measured.sets)}
+    worst = max((size for size in sizes.values() if math.isfinite(size)), default=1.0)
+    if together <= max(APART * worst, SUSPICIOUS):
+        if not problem.shared:
+            return []
+        fit = with_effects(bound.with_noise(found_noise(bound).scale), problem)
+        return not_the_same(fit, lm(fit))
+    shared = "".join(f"; '{key}' is declared as the same for {' and '.join(by)}" for key, by in problem.shared.items())
+    cause = (
+        f"each fits alone (residuals up to {times(worst)} times the stated noise), but not together "
+        f"({times(together)} times){shared}"
+    )
+    fix = (
+        "Check that arm, tool and base were the same for all, and that what is declared as shared is one and the "
+        "same; too small a stated noise of one instrument can also be the cause"
+    )
+    return [Finding("error", "instruments contradict each other", cause, fix)]
+
+
+MOST_ROWS = 600  # rows used to look for systematic faults; more add time, not insight
+OF_A_FACE = 12  # rows of a face, where faces are many, that tell of systematic faults
+SPREAD = 20_000  # rows that tell of the set-up and of what the prior explains; more add memory, not insight
+
+OF_TWO = 3.0
+"""Times what prior errors explain by which the drawn arm must miss before two mistakes at once are looked for."""
+
+ORDER = {"error": 0, "warning": 1, "remark": 2}
+
+
+def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, ...]:
+    """Findings on samples, worst first: errors, weaknesses, and remarks.
+
+    Of several instruments each is looked at by itself, and then whether all agree about one arm.
+
+    Before any fit: repeats, ranges, rounding, set-up, labels, dial sign. With a quick robust fit: systematic faults,
+    each found by undoing it, then outliers and noise, then effects beside the geometry. What one cause explains is not
+    reported again. Deterministic.
+    Raises CasacalError for what is no problem or no samples.
+    """
+    if not isinstance(problem, Problem):
+        raise CasacalError(f"Got {came(problem)} as the problem", "Give a Problem; load_problem(path).problem is one")
+    if not isinstance(samples, (Samples, Measurements)):
+        raise CasacalError(f"Got {came(samples)} as samples", "Give Samples; problem.read(path) returns them")
+    if len(problem.instruments) > 1:
+        if not isinstance(samples, Measurements) or samples.names != problem.names:
+            fix = f"Give Measurements of {', '.join(problem.names)}"
+            raise CasacalError("The samples are not those of the problem's instruments", fix)
+        return _in_order(_of_several(problem, samples))
+    samples = Measurements.of(samples).sets[0]
+    findings = [*repeated(samples), *outside(problem, samples)]
+    findings += [*absent_labels(problem, samples), *odd_labels(problem, samples), *lost_steps(problem, samples)]
+    samples = without_copies(samples)  # as calibrate takes them
+    try:
+        bound = bind(problem, samples)
+    except CasacalError as error:
+        return (Finding("error", UNBOUND, error.what, error.fix), *_in_order(findings))
+    some = bound if len(samples) <= SPREAD else bound.on(samples.take(_evenly(len(samples), SPREAD)))
+    scatter = prior_scatter(some, flat_counts=True).rms
+    if steps := upside_down(some, scatter):
+        return _in_order([*steps, *findings])
+    bad, stray = off_their_face(bound, scatter)
+    good = samples.take(np.flatnonzero(~bad)) if bad.any() else samples
+    few = _few_of_each_face(problem, good)
+    base = misfit(problem, few)
+    gross = float(np.sqrt((some.plain_residual(some.x0) ** 2).mean())) > OF_TWO * scatter
+    cause = explained(problem, few, base, gross=gross) if base > SUSPICIOUS else None
+    if cause is not None:  # it also explains single rows that lie off
+        return _in_order(_with_cause(findings, cause, some, few))
+    findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some)]
+    findings += stray if base <= EXPLAINED else []  # else the other rows miss as well, and these are not the cause
+    if base > SUSPICIOUS:
+        return _in_order([_unexplained(problem, samples, base, findings), *findings])
+    quick = quick_fit(problem, few)
+    if quick is not None:
+        fitted = quick[0], quick[1].x, quick[1].covariance
+        findings += [*tool_elsewhere_at(*fitted), *wrong_scale(*fitted)]
+    findings += [*_untold(problem, few, base), *_rows(bind(problem, good))]
+    if all(finding.severity != "error" for finding in findings):
+        findings += beside_geometry(problem, few)
+    return _in_order(findings)
+
+
+def _with_cause(findings: list[Finding], cause: MisfitCause, bound: BoundProblem, few: Samples) -> list[Finding]:
+    """A cause, with what readings say of the sign before any fit, and what is wrong with the rows apart from it."""
+    undone = cause.undone
+    told = {finding.about for finding in outside(undone.problem, undone.samples)}
+    explained_too = {finding.about for finding in outside(bound.problem, few)} - told
+    kept = [finding for finding in findings if finding.about not in explained_too]
+    found = cause.finding
+    if found.about == WRONG_SIGN and OUTSIDE in explained_too:
+        found = replace(found, cause=f"the readings have a minus and should not: {found.cause.partition(': ')[2]}",
+                        fix="Write the readings without the minus")  # fmt: skip
+    elif found.about == WRONG_SIGN:
+        found = replace(found, cause="; ".join([found.cause, *(each.cause for each in sign_before_fit(bound))]))
+    faces = few if "something moved" in found.about else undone.samples  # which calls those touched later by new names
+    weak = setup_findings(bind(undone.problem, replace(undone.samples, labels=faces.labels)))
+    return [found, *kept, *(finding for finding in weak if finding.about != "few rows")]
+
+
+def _in_order(findings: list[Finding]) -> tuple[Finding, ...]:
+    return tuple(sorted(without_its_likes(findings), key=lambda finding: ORDER[finding.severity]))
+
+
+def _few_of_each_face(problem: Problem, samples: Samples) -> Samples:
+    """About `MOST_ROWS` rows, evenly over their faces, or of some faces where these are many."""
+    if len(samples) <= MOST_ROWS:
+        return samples
+    faces = samples.faces(problem.instrument.groups)
+    rows = [some for some in faces.rows().values() if some.size]
+    chosen = [rows[k] for k in _evenly(len(rows), MOST_ROWS // OF_A_FACE)]
+    kept = [some[_evenly(some.size, MOST_ROWS // len(chosen))] for some in chosen]
+    return samples.take(np.sort(np.concatenate(kept)))
+
+
+def _evenly(count: int, most: int) -> Index:
+    """Places of so many of `count` things, evenly over all; all where there are fewer."""
+    return np.unique(np.linspace(0, count - 1, most).astype(np.intp))
+
+
+def _unexplained(problem: Problem, samples: Samples, base: float, findings: list[Finding]) -> Finding:
+    known = [finding.about for finding in findings if finding.severity == "error"]
+    cause = f"the residuals of a robust fit are {times(base)} times the stated noise"
+    column, what = problem.instrument.groups, problem.instrument.words.group
+    if column is not None and samples.faces(column).names == (column,) and base > EXPLAINED:
+        cause = f"there is no column '{column}', so all rows count as of one {what}; with that, {cause}"
+        fix = f"Add the column '{column}' with the {what} of each row; if there is only one, check signs and units"
+        return Finding("error", "labels absent", cause, fix)
+    if known:
+        return Finding("remark", "misfit", f"{cause}, which {', '.join(known)} would explain", "Correct those first")
+    cause = f"{cause}, and no {listed(_tried(problem), 'or')} explains it"
+    fix = (
+        "Check the robot's nominal values and the instrument's noise; compliance, backlash or a warped face can also "
+        "be the cause"
+    )
+    if base > EXPLAINED:  # more than any arm errs
+        fix = "Check labels, columns and DH table; casacal doctor compares the table with poses on the pendant"
+        probe = problem.instrument.probe
+        if probe is not None and probe.column is not None:
+            fix = f"Try the dial's sign first (--set sign={-probe.sign}). {fix}. Do not delete rows"
+    return Finding("error", "misfit", cause, fix)
+
+
+def _tried(problem: Problem) -> list[str]:
+    """Words for the mistakes that were looked for: what an instrument suspects of its columns, and of the cell."""
+    instrument = problem.instrument
+    suspected = [name for name in instrument.columns if any(name in each.columns for each in instrument.suspects)]
+    untried = len(suspected) < len(instrument.columns)
+    tried = [f"wrong sign or unit{f' of {listed(suspected)}' if untried else ''}"] if suspected or not untried else []
+    tried += ["swapped joints", "coupling"]
+    if instrument.probe is not None and instrument.probe.column is not None:
+        tried.append("drift")
+    return [*tried, *(["tool offset"] if tool_keys(problem) else [])]
+
+
+def _untold(problem: Problem, samples: Samples, base: float) -> list[Finding]:
+    """Remarks on flips that these samples would not notice."""
+    undone = {fault.about: fault.undo(problem, samples) for fault in flips(problem)}
+    unseen = [about for about, each in undone.items() if misfit(each.problem, each.samples) <= ALIKE * base]
+    cause = "these samples would look the same, so they cannot show it"
+    return [Finding("remark", f"{about}?", cause, "Check it by hand") for about in unseen]
+
+
+def _rows(bound: BoundProblem) -> list[Finding]:
+    """Outliers, else a noise that is not as stated."""
+    fitted = robust_fit(bound)
+    outliers = [] if fitted is None else single_rows(*fitted, studentised_outliers(*fitted))
+    if outliers:
+        return outliers
+    if wrong := wrong_number(bound):
+        return wrong
+    plain = lm(bound)
+    ratio, low, high = noise_interval(plain)
+    if low <= 1.1 and high >= 0.9:
+        return []
+    cause = f"the residuals are {ratio:.2f} times the stated noise (95 % {low:.2f} to {high:.2f})"
+    fix = "Correct noise_std in the problem" if ratio < 1 else "Raise noise_std, or find what the model leaves out"
+    return [Finding("warning", "noise", cause, fix)]
+
+
+UNBOUND = "cannot be bound"
+
+OF_ALL = ("few rows", NO_LENGTH)
+"""Findings that concern all instruments together: what one cannot observe, another may."""
+
+
+def _of_several(problem: Problem, measured: Measurements) -> list[Finding]:
+    """Findings on each instrument's samples, and on all together.
+
+    An instrument whose rows cannot be fitted without the others is looked at row by row alone.
+    """
+    found = list[Finding]()
+    for alone in each_alone(problem, measured.sets):
+        of_it = [each for each in check(alone.problem, alone.samples) if each.about not in OF_ALL]
+        fixes = [each.fix.replace("--set ", f"--set {alone.name}.") for each in of_it]
+        found += [replace(each, instrument=alone.name, fix=fix) for each, fix in zip(of_it, fixes, strict=True)]
+    try:
+        bound = bind(problem, *measured.sets)
+    except CasacalError as error:
+        if any(finding.about == UNBOUND for finding in found):  # said already of the instrument that it is about
+            return found
+        return [Finding("error", UNBOUND, error.what, error.fix), *found]
+    found += enough_rows(bound)
+    if all(finding.severity != "error" for finding in found):
+        found += contradictions(bound, measured)
+    return found

@@ -1,0 +1,514 @@
+"""Mistakes people make in samples and problem file; the cause of a misfit is found by undoing each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain, combinations, permutations
+
+import numpy as np
+
+from casacal.calibration.finding import (
+    FIRST_STEPS,
+    STEPS,
+    Fault,
+    Finding,
+    Undo,
+    Undone,
+    freed_of_unknowns,
+    misfit,
+    quick_fit,
+    weighted,
+)
+from casacal.calibration.numbers import TOOL, alike_numbers, numbers, tool_keys
+from casacal.data.columns import Labels
+from casacal.data.samples import Samples
+from casacal.errors import CasacalError
+from casacal.fit.bound_problem import bind
+from casacal.fit.slots import ENOUGH
+from casacal.model.instrument import ANGLE_UNITS, UNIT_MISTAKES, Suspect, readings_within
+from casacal.model.joints import Conventions
+from casacal.model.problem import Problem
+from casacal.model.problem_text import conventions_line
+from casacal.model.robot import Robot
+from casacal.values import Array
+from casacal.wording import times
+
+MOST_SCALE = 0.2  # part by which readings are too large beyond which it is no error of scale
+ROUNDS = 4  # Gauss-Newton steps for the size of a fault; all are nearly linear in it
+
+PLACES = 12
+"""Places in the order of the rows at which something may have moved, before the best one is looked at closely."""
+
+MOST_SHIFTS, WORTH = 3, 0.8  # shifts that are looked for; part of the misfit that a further one may leave
+
+FEWEST = 5  # rows that a face needs on either side of such a place to have a plane there
+
+
+def tool_elsewhere(problem: Problem, samples: Samples) -> Undone:
+    """The tool point free of its prior, and where it then stands."""
+    keys = tool_keys(problem)
+    freed = problem.free(*(key for key in keys if not problem.instrument.unknowns[key].size))
+    freed = freed.with_prior(dict.fromkeys(keys, math.inf))
+    fitted = quick_fit(freed, samples)
+    if fitted is None or not keys:
+        return Undone(problem, samples)
+    bound, result = fitted
+    moved = {
+        name: float(result.x[j])
+        for slot in bound.slots
+        if slot.key in keys
+        for name, j in zip(slot.unknown.names(slot.name), slot.columns, strict=True)
+    }
+    said = ", ".join(f"{name} by {by:+.2f} mm" for name, by in moved.items())
+    return Undone(freed, samples, f": {said}")
+
+
+def drifting(problem: Problem, samples: Samples, *, column: str) -> Undone:
+    """Readings less a drift in proportion to their place in the order of rows."""
+    order = np.linspace(0.0, 1.0, len(samples))
+
+    def less(samples: Samples, size: float) -> Samples:
+        return replace(samples, columns={**samples.columns, column: samples.columns[column] - size * order})
+
+    (size,) = _fitted(problem, samples, less)
+    return Undone(problem, less(samples, size), f", by {size:+.3g} mm from the first row to the last")
+
+
+def scaled(problem: Problem, samples: Samples, *, columns: Sequence[str]) -> Undone:
+    """Readings less a part of each by which all are too large, or too small."""
+
+    def less(samples: Samples, size: float) -> Samples:
+        changed = {name: samples.columns[name] * (1 - size) for name in columns}
+        return replace(samples, columns={**samples.columns, **changed})
+
+    (size,) = _fitted(problem, samples, less)
+    if abs(size) > MOST_SCALE:
+        return Undone(problem, samples)
+    return Undone(problem, less(samples, size), f", by {100 * size:+.3g} %")
+
+
+def geared(problem: Problem, samples: Samples, *, turning: int, sliding: int) -> Undone:
+    """A sliding joint that moves as another one turns, as the screw of a SCARA's quill does."""
+
+    def with_lead(samples: Samples, size: float) -> Samples:
+        joints = samples.joints.copy()
+        joints[:, sliding] += size * joints[:, turning]
+        return replace(samples, joints=joints)
+
+    (size,) = _fitted(problem, samples, with_lead)
+    return Undone(problem, with_lead(samples, size), f", by {2 * math.pi * size:+.4g} mm per turn")
+
+
+def somewhere_moved(problem: Problem, samples: Samples) -> Undone:
+    """Faces that count as others from some row on, at the place where all then fits best."""
+    step = max(len(samples) // (PLACES + 1), 1)
+    tried: dict[int, float] = {}
+
+    def best_of(places: Sequence[int]) -> int:
+        for place in places:
+            if place not in tried and (later := _relabelled(problem, samples, place)) is not None:
+                tried[place] = misfit(problem, later, steps=FIRST_STEPS)
+        return min(tried, key=tried.__getitem__, default=0)
+
+    rough = best_of(range(step, len(samples), step))
+    near = {rough + round(step * part / 3) for part in range(-3, 4)}
+    place = best_of(sorted(place for place in near if 0 < place < len(samples)))
+    later = _relabelled(problem, samples, place) if tried else None
+    if later is None:
+        return Undone(problem, samples)
+    return Undone(problem, later, f" near line {samples.lines[place]}")
+
+
+def zero_moved(problem: Problem, samples: Samples, *, column: str) -> Undone:
+    """Readings less shifts from some rows on, where a dial was set to zero anew: wherever that gains most.
+
+    A further shift is taken where it takes away a fifth of the misfit or more.
+    """
+    places: list[int] = []
+    sizes: tuple[float, ...] = ()
+    rows, left = samples, math.inf
+    while len(places) < MOST_SHIFTS and (place := _where_shifted(problem, rows, column)) is not None:
+        less = partial(_less_shifts, column=column, places=[*places, place])
+        found = _fitted(problem, samples, less, start=(*sizes, 0.0))
+        if (misses := misfit(problem, less(samples, *found))) > WORTH * left:
+            break
+        places, sizes, rows, left = [*places, place], found, less(samples, *found), misses
+    shifts = sorted(zip(places, sizes, strict=True))
+    said = " and".join(f" near line {samples.lines[place]}, by {size:+.3g} mm" for place, size in shifts)
+    return Undone(problem, rows, said)
+
+
+def _less_shifts(samples: Samples, *sizes: float, column: str, places: Sequence[int]) -> Samples:
+    """Readings less a shift from each of some rows on."""
+    shift = sum(size * (np.arange(len(samples)) >= place) for size, place in zip(sizes, places, strict=True))
+    return replace(samples, columns={**samples.columns, column: samples.columns[column] - shift})
+
+
+def _where_shifted(problem: Problem, rows: Samples, column: str) -> int | None:
+    """The row from which a shift of the readings gains most; None where none can be told."""
+    fitted, count = quick_fit(problem, rows), len(rows)
+    if fitted is None or not 2 * FEWEST < count <= ENOUGH:
+        return None
+    bound, result = fitted
+    here, places = bound.residual(result.x), np.arange(FEWEST, count - FEWEST)
+    slope = (bound.on(_less_shifts(rows, SMALL, column=column, places=[0])).residual(result.x) - here) / SMALL
+    later = bound.sample_of[:, None] >= places
+    ways = freed_of_unknowns(bound, result, later * slope[:, None])
+    gains = (ways.T @ weighted(bound, result, here)) ** 2 / np.maximum((ways**2).sum(axis=0), 1e-300)
+    return int(places[np.argmax(gains)])
+
+
+def _relabelled(problem: Problem, samples: Samples, place: int) -> Samples | None:
+    """Rows from a place on under labels of their own; None where no face has enough rows on both sides."""
+    column = problem.instrument.groups
+    assert column is not None
+    faces = samples.faces(column)
+    after = np.arange(len(samples)) >= place
+    names, codes, split = list(faces.names), faces.codes.copy(), False
+    for k, name in enumerate(faces.names):
+        own = faces.codes == k
+        if min(int((own & after).sum()), int((own & ~after).sum())) >= FEWEST:
+            names.append(f"{name}, later")
+            codes[own & after] = len(names) - 1
+            split = True
+    return replace(samples, labels={**samples.labels, column: Labels(names, codes)}) if split else None
+
+
+def _fitted(
+    problem: Problem, samples: Samples, change: Callable[..., Samples], *, start: tuple[float, ...] = (0.0,)
+) -> tuple[float, ...]:
+    """Sizes of changes at which all fits best: Gauss-Newton in them, all unknowns fitted anew at each step.
+
+    The slopes of the residuals by the sizes are freed of what the unknowns can follow, priors included.
+    """
+    sizes = np.array(start)
+    if len(samples) > ENOUGH:
+        return start
+    for _ in range(ROUNDS):
+        fitted = quick_fit(problem, change(samples, *sizes))
+        if fitted is None:
+            return (0.0,) * len(start)
+        bound, result = fitted
+        here = bound.residual(result.x)
+        steps = (change(samples, *(sizes + step)) for step in SMALL * np.eye(len(sizes)))
+        slopes = np.column_stack([(bound.on(changed).residual(result.x) - here) / SMALL for changed in steps])
+        left = freed_of_unknowns(bound, result, slopes)
+        if not left.any(axis=0).all():
+            break
+        sizes = sizes - np.linalg.lstsq(left, weighted(bound, result, here), rcond=None)[0]
+    return tuple(map(float, sizes))
+
+
+SMALL = 1e-5  # step of the finite difference, mm or mm per rad
+
+DOCTOR = "Run casacal doctor on rows of the pendant, and write the coupling into the problem's Conventions"
+
+MOST_FACES = 12  # faces beyond which their labels are not exchanged two by two
+
+
+def suspected(problem: Problem, samples: Samples) -> Iterator[Fault]:
+    """Every mistake that is looked for; of two that explain samples alike and are as simple, the first is believed."""
+    return chain(_columns_and_joints(problem), _parts_of_the_cell(problem, samples))
+
+
+def _columns_and_joints(problem: Problem) -> Iterator[Fault]:
+    """Mistakes in whole columns: sign, units, joints the other way or swapped; the table's convention."""
+    turns = problem.robot.revolute
+    for suspect in problem.instrument.suspects:
+        yield Fault(suspect.about, suspect.cause, suspect.fix, _rewritten(suspect))
+    if turns.any():
+        for factor, words in ANGLE_UNITS.items():
+            cause, fix = f"the joint angles look like {words}", "Correct the unit in the columns' names"
+            yield Fault("unit of the joints", cause, fix, _turned(np.diag(np.where(turns, factor, 1.0))))
+    yield from flips(problem)
+    if (other := problem.robot.in_other_convention()) is not None:
+        cause, fix = "the DH table seems to be of the other convention", "Correct its convention, standard or modified"
+        yield Fault("DH convention", cause, fix, partial(_with_arm, robot=other), 1, common=False)
+    for i, j in combinations(range(len(turns)), 2):
+        if turns[i] == turns[j]:
+            order = np.eye(len(turns))
+            order[[i, j]] = order[[j, i]]
+            cause, fix = f"columns q{i + 1} and q{j + 1} seem to be swapped", "Swap the two column names"
+            yield Fault(f"joints {i + 1} and {j + 1} swapped", cause, fix, _turned(order))
+
+
+def flips(problem: Problem) -> Iterator[Fault]:
+    """Each joint counted the other way."""
+    count, arm = len(problem.robot.axes), problem.robot.arm
+    for i in range(count):
+        signs = np.ones(count)
+        signs[i] = -1.0
+        cause = f"joint {i + 1} seems to be counted in the other direction"
+        fix = f"Reverse the sign of column q{i + 1}"
+        if arm is not None:
+            said = (arm.conventions or Conventions.plain(count)).flipped(i + 1)
+            line = conventions_line(said, problem.robot.axes)
+            fix += f", or turn the joint round in the problem, with its limits: {line}"
+        yield Fault(f"joint {i + 1} flipped", cause, fix, _turned(np.diag(signs)))
+
+
+def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
+    """Mistakes that concern the tool, one face, two joints, or the order of the rows."""
+    probe, turns = problem.instrument.probe, problem.robot.revolute
+    if tool_keys(problem):
+        fix = "Measure the tool from the flange again, and correct it in the problem file"
+        cause = "the tool seems to be elsewhere"
+        yield Fault("tool elsewhere", cause, fix, tool_elsewhere, 3)
+    if probe is not None and probe.column is not None:
+        yield from _signs_of_faces(samples, probe.column, probe.label, sum(readings_within(probe.travel)))
+        yield from _some_units(samples, probe.column, readings_within(probe.travel))
+    yield from _exchanged(problem, samples)
+    yield from numbers(problem)
+    yield from _zeros(problem)
+    for i, j in permutations(range(len(turns)), 2):
+        about = f"joint {j + 1} coupled to joint {i + 1}"
+        if turns[i] == turns[j]:
+            for factor in (1.0, -1.0):
+                coupled = np.eye(len(turns))
+                coupled[j, i] = factor
+                said = "turns" if turns[j] else "slides"
+                cause = f"joint {j + 1} seems to {said[:-1]} {'with' if factor > 0 else 'against'} joint {i + 1}"
+                yield Fault(about, cause, DOCTOR, _turned(coupled), common=False)
+        elif turns[i]:
+            cause = f"joint {j + 1} seems to slide as joint {i + 1} turns"
+            yield Fault(about, cause, DOCTOR, partial(geared, turning=i, sliding=j), 1, False)
+    lengths = [name for name, kind in problem.instrument.columns.items() if kind == "length"]
+    if probe is None and lengths:
+        fix = "Check the instrument's scale factor and its settings for air, or declare the scale as an unknown"
+        undo = partial(scaled, columns=lengths)
+        yield Fault("scale of the readings", "the readings seem to be off in proportion", fix, undo, 1, False)
+    if probe is not None and probe.column is not None:
+        yield from _one_row_off(probe.column)
+        fix = "Let dial and arm warm up, fasten the stand, and measure again; touch one place at the beginning and end"
+        yield Fault("drift", "the readings seem to drift", fix, partial(drifting, column=probe.column), 1)
+        said = probe.zero_label or "session"
+        fix = f"Give the rows from there on another value in a column '{said}'"
+        fix += "" if probe.zero else ", and declare zero_shift=dial_zero() for the dial"
+        cause = "the dial seems to have been set to zero anew, or to have slipped in its clamp"
+        yield Fault("dial set to zero anew", cause, fix, partial(zero_moved, column=probe.column), 2, False)
+    if problem.instrument.groups is not None:
+        fix = "Fasten base, tool and faces, and measure again, or give the faces other labels from there on"
+        yield Fault("something moved", "base, tool or faces seem to have moved", fix, somewhere_moved, 9, False)
+
+
+def _signs_of_faces(samples: Samples, column: str, label: str | None, ends: float) -> Iterator[Fault]:
+    """The reading of one face counted the other way, from zero or from the other end; both ends add up to `ends`."""
+    faces = samples.faces(label)
+    if len(faces.names) < 2:
+        return
+    for name in faces.names:
+        cause = f"the readings on '{name}' seem to have the wrong sign"
+        fix = f"Reverse the sign of the readings on '{name}'"
+        for end in dict.fromkeys((0.0, ends)):
+
+            def undo(problem: Problem, samples: Samples, name: str = name, end: float = end) -> Undone:
+                reading, rows = samples.columns[column].copy(), samples.faces(label).rows()[name]
+                reading[rows] = end - reading[rows]
+                return Undone(problem, replace(samples, columns={**samples.columns, column: reading}))
+
+            yield Fault(f"dial sign of '{name}'", cause, fix, undo)
+
+
+def _one_row_off(column: str) -> Iterator[Fault]:
+    """The column of readings slipped by one row against the joints, as in a spreadsheet; the row at the end is lost."""
+    for by, which in ((-1, "previous"), (1, "next")):
+
+        def undo(problem: Problem, samples: Samples, by: int = by) -> Undone:
+            rows = np.arange(len(samples) - 1) + max(by, 0)
+            reading = np.roll(samples.columns[column], by)
+            return Undone(problem, replace(samples, columns={**samples.columns, column: reading}).take(rows))
+
+        cause, fix = f"each reading seems to belong to the joints of the {which} row", "Move the column by one row"
+        yield Fault("readings one row off", cause, fix, undo, 1, common=False)
+
+
+def _some_units(samples: Samples, column: str, ends: tuple[float, float]) -> Iterator[Fault]:
+    """Some readings in another unit: those that stay within the dial's travel in it, or that it alone brings there."""
+    reading, most = samples.columns[column], max(map(abs, ends))
+    for factor, words in UNIT_MISTAKES.items():
+        other = np.abs(reading) <= most / factor if factor > 1 else np.abs(reading) > most
+        if not other.any() or other.all():
+            continue
+        which = f"up to {most / factor:.3g}" if factor > 1 else f"beyond {most:g}"
+        cause, fix = f"the readings {which} mm seem to be {words}", "Write all readings in one unit"
+        changed = {**samples.columns, column: np.where(other, factor * reading, reading)}
+        yield Fault("unit of some readings", cause, fix, partial(_instead, columns=changed), 1, False)
+
+
+def _instead(problem: Problem, samples: Samples, *, columns: dict[str, Array]) -> Undone:
+    return Undone(problem, replace(samples, columns=columns))
+
+
+def _exchanged(problem: Problem, samples: Samples) -> Iterator[Fault]:
+    """Labels of two faces in each other's place, where one stands on another or on it; else a name says nothing."""
+    column, probe = problem.instrument.groups, problem.instrument.probe
+    if column is None or probe is None or not probe.steps:
+        return
+    names = samples.faces(column).names
+    known = {*probe.steps, *(problem.instrument.instance("plane", step) for step in probe.steps)}
+    pairs = combinations(names if len(names) <= MOST_FACES else (), 2)
+    for one, two in (pair for pair in pairs if known & set(pair)):
+
+        def undo(problem: Problem, samples: Samples, one: str = one, two: str = two) -> Undone:
+            faces, other = samples.faces(column), {one: two, two: one}
+            swapped = Labels(tuple(other.get(name, name) for name in faces.names), faces.codes)
+            return Undone(problem, replace(samples, labels={**samples.labels, column: swapped}))
+
+        cause, fix = f"the labels '{one}' and '{two}' seem to be exchanged in all rows", "Exchange them"
+        yield Fault("labels exchanged", cause, fix, undo)
+
+
+def _zeros(problem: Problem) -> Iterator[Fault]:
+    """The zero of a joint a quarter or half a turn from where the problem has it."""
+    for i in np.flatnonzero(problem.robot.revolute).tolist():
+        for turn in (90, -90, 180):
+            cause = f"the zero of joint {i + 1} seems to be {turn} degrees from where the problem has it"
+            fix = f"Add {turn} degrees to column q{i + 1}, or to theta of that joint; casacal doctor finds it as well"
+            same = np.eye(len(problem.robot.axes))
+            undo = _turned(same, math.radians(turn) * same[i])
+            yield Fault(f"zero of joint {i + 1}", cause, fix, undo, 1, common=False)
+
+
+def _with_arm(problem: Problem, samples: Samples, *, robot: Robot) -> Undone:
+    return Undone(problem.with_parts(robot, problem.instruments), samples)
+
+
+def _rewritten(suspect: Suspect) -> Undo:
+    def undo(problem: Problem, samples: Samples) -> Undone:
+        order = suspect.order or suspect.columns
+        pairs = zip(suspect.columns, order, strict=True)
+        scaled = {name: samples.columns[true] * suspect.factor for name, true in pairs}
+        return Undone(problem, replace(samples, columns={**samples.columns, **scaled}))
+
+    return undo
+
+
+def _turned(matrix: Array, shift: Array | float = 0.0) -> Callable[[Problem, Samples], Undone]:
+    return lambda problem, samples: Undone(problem, replace(samples, joints=samples.joints @ matrix.T + shift))
+
+
+SUSPICIOUS = 2.0  # misfit, in stated standard deviations, above which something systematic is looked for
+BETTER = 0.25  # an undone fault must shrink the misfit to this part to be believed
+EXPLAINED = 50.0  # misfit that noise and effects leave at most; what leaves more explains nothing
+CHANCE = 1.3  # a misfit of this size is chance: whatever leaves no more explains it all
+ALIKE = 1.5  # within this factor a fault and its absence cannot be told apart
+PROMISING = 12  # faults, or pairs of them, that a first look finds best and that are fitted to the end
+PAIRED = 3  # single faults, beside the usual ones, that are tried together with others
+RIVALS = 3  # faults that would explain it equally well and are named
+
+
+@dataclass(frozen=True)
+class MisfitCause:
+    """Cause of a misfit as a finding, and problem and samples with it undone."""
+
+    finding: Finding
+    undone: Undone
+
+
+@dataclass(frozen=True)
+class _Attempt:
+    """Faults that were undone one after the other, and what came of it."""
+
+    faults: tuple[Fault, ...]
+    undone: Undone
+    size: float  # the misfit that is left
+
+    @property
+    def freedom(self) -> int:
+        return sum(fault.freedom for fault in self.faults)
+
+
+def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = True) -> MisfitCause | None:
+    """The simplest that makes a misfit vanish: one suspected fault, else two together; None where none does.
+
+    problem: with one instrument. samples: its rows, some hundred. base: their misfit as they are. gross: whether it is
+    so large that two mistakes at once are looked for.
+    """
+    nothing = _Attempt((), Undone(problem, samples), 0.0)
+    tried = _looked_at_closely([each for fault in suspected(problem, samples) for each in _one(fault, nothing)])
+    best = _simplest(tried)
+    if best is None:
+        return None
+    if best.size > max(min(BETTER * base, EXPLAINED), SUSPICIOUS) and gross:
+        pairs = _pairs(tried, problem)
+        both = _simplest(pairs)
+        if both is not None and both.size < min(BETTER * min(best.size, base), EXPLAINED):
+            return _told(both, base, pairs, [])
+    if best.size > max(min(BETTER * base, EXPLAINED), CHANCE):
+        return None
+    tool = [fault.about for fault in best.faults] == [TOOL]
+    alike = alike_numbers(bind(problem, samples), tool_keys(problem)) if tool else ()
+    return _told(best, base, tried, [f"{name} elsewhere" for name in alike])
+
+
+def _one(fault: Fault, before: _Attempt) -> Iterator[_Attempt]:
+    """The attempt with one more fault undone; nothing where it cannot be undone."""
+    try:
+        undone = fault.undo(before.undone.problem, before.undone.samples)
+    except CasacalError:  # such as a tool of an instrument that holds it
+        return
+    undone = replace(undone, found=before.undone.found + undone.found)
+    yield _Attempt((*before.faults, fault), undone, _left(undone, FIRST_STEPS))
+
+
+def _looked_at_closely(tried: list[_Attempt]) -> list[_Attempt]:
+    """The trials with the most promising ones fitted to the end, and the misfit of all others infinite."""
+    closer = {id(trial) for trial in sorted(tried, key=lambda trial: trial.size)[:PROMISING]}
+    return [_to_the_end(trial) if id(trial) in closer else replace(trial, size=math.inf) for trial in tried]
+
+
+def _to_the_end(trial: _Attempt) -> _Attempt:
+    """A trial with its final misfit: infinite where shuffled joint values would fit about as well."""
+    size = _left(trial.undone, STEPS)
+    if size > EXPLAINED:
+        return replace(trial, size=size)
+    samples = trial.undone.samples
+    mixed = replace(samples, joints=np.random.default_rng(0).permuted(samples.joints, axis=0))
+    says_nothing = misfit(trial.undone.problem, mixed, start=trial.undone.start) * BETTER < max(size, SUSPICIOUS)
+    return replace(trial, size=math.inf if says_nothing else size)
+
+
+def _left(undone: Undone, steps: int) -> float:
+    """The misfit that is left."""
+    return misfit(undone.problem, undone.samples, steps=steps, start=undone.start)
+
+
+def _pairs(tried: list[_Attempt], problem: Problem) -> list[_Attempt]:
+    """Wrong units and signs of the dial, and what promises most, each with what is commonly done wrong beside it."""
+    usual = {"unit of the joints", *(suspect.about for suspect in problem.instrument.suspects)}
+    best = sorted(tried, key=lambda trial: trial.size)
+    first = [trial for k, trial in enumerate(best) if k < PAIRED or trial.faults[0].about in usual]
+    found: list[_Attempt] = []
+    for trial in first:
+        for fault in suspected(trial.undone.problem, trial.undone.samples):
+            if fault.about != trial.faults[0].about and fault.common:
+                found += _one(fault, trial)
+    return _looked_at_closely(found)
+
+
+def _simplest(tried: list[_Attempt]) -> _Attempt | None:
+    """The trial of least freedom among those that explain about as well as the best; ties go to the first."""
+    least = min((trial.size for trial in tried), default=math.inf)
+    if least == math.inf:
+        return None
+    return min((trial for trial in tried if trial.size <= ALIKE * least), key=lambda trial: trial.freedom)
+
+
+def _told(best: _Attempt, base: float, tried: list[_Attempt], alike: list[str]) -> MisfitCause:
+    """The cause in words; `alike`: what rows cannot tell from it, beside what was tried."""
+    names = " and ".join(fault.about for fault in best.faults)
+    others = [" and ".join(fault.about for fault in trial.faults) for trial in tried if trial.size <= ALIKE * best.size]
+    rivals = [name for name in dict.fromkeys(others) if set(name.split(" and ")) != set(names.split(" and "))][:RIVALS]
+    rivals = [*dict.fromkeys([*alike, *rivals])]
+    also = f"; {', '.join(rivals)} would explain it equally well" if rivals else ""
+    causes = " and ".join(fault.cause for fault in best.faults)
+    undone = "with that undone" if len(best.faults) == 1 else "with both undone"
+    cause = (
+        f"{causes}{best.undone.found}: {undone}, the misfit falls from {times(base)} to {times(best.size)} times the "
+        f"stated noise{also}"
+    )
+    fix = ". ".join(fault.fix for fault in best.faults) + ("" if rivals else best.undone.offer)
+    return MisfitCause(Finding("error", names, cause, fix), best.undone)

@@ -1,0 +1,205 @@
+"""Inputs of a calibration: problem and samples from any source, a method by name; and how that method is run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from casacal.data.read import is_frame
+from casacal.data.samples import Measurements, Samples
+from casacal.errors import CasacalError, UnknownNameError, came
+from casacal.fit.bound_problem import BoundProblem
+from casacal.fit.result import Result, Status, as_result
+from casacal.kernels.losses import Loss
+from casacal.model.problem import Problem
+from casacal.model.problem_file import ProblemFile, load_problem
+from casacal.values import Array, Value
+
+Progress: TypeAlias = Callable[[int, float], None]
+Method: TypeAlias = Callable[..., Result | Array]
+
+METHODS: Mapping[str, str] = {
+    "lm": "lm",
+    "sckf": "filters",
+    "sckf-lm": "filters",
+    "ekf": "filters",
+    "annealing": "population",
+    "swarm": "population",
+    "evolution": "population",
+    "ipopt": "ipopt",
+    "plane-only": "controls",
+}
+"""The names the command line knows, and the module of `casacal.fit` that defines each."""
+
+
+def method_of(name: str) -> Method | None:
+    """casacal's own method of that name, whose module is imported now; None where it has none."""
+    if name not in METHODS:
+        return None
+    found: Method = getattr(import_module(f"casacal.fit.{METHODS[name]}"), name.replace("-", "_"))
+    return found
+
+
+RANDOM = ("annealing", "swarm", "evolution")
+"""Methods that draw random numbers, to search a box of the geometry: that of effects beside it is too wide."""
+
+NO_LOSS: Mapping[str, str] = {
+    "sckf": "takes every row once, at its full weight, and minimises nothing",
+    "ekf": "takes every row once, at its full weight, and minimises nothing",
+    "plane-only": "is the control of plain least squares, with which others are compared",
+}
+"""Methods that take no loss, and why."""
+
+WORSE = 1e-9  # part of the drawing's cost by which an estimate may exceed it: rounding
+
+
+def problem_from(given: Any) -> ProblemFile:
+    """A problem with where it came from, from a problem, a problem file, or a path; raises CasacalError."""
+    if isinstance(given, ProblemFile):
+        return given
+    if isinstance(given, Problem):
+        return ProblemFile.of(given)
+    if isinstance(given, (str, Path)):
+        return load_problem(given)
+    raise CasacalError(f"Got {came(given)} as the problem", "Give a Problem, what load_problem returns, or a path")
+
+
+def samples_from(given: Any, source: ProblemFile) -> Samples | Measurements:
+    """Samples of a problem's instrument, or of each by name; raises CasacalError."""
+    problem = source.problem
+    if len(problem.instruments) == 1:
+        only = given.sets[0] if isinstance(given, Measurements) and len(given.sets) == 1 else given
+        return samples_of(only, source, 0)
+    if isinstance(given, Measurements):
+        given = dict(zip(given.names, given.sets, strict=True))
+    if given is None and source.samples is not None:
+        given = dict.fromkeys(problem.names)
+    fix = f'Give those of each by name: {", ".join(problem.names)}, such as {{"{problem.names[0]}": ...}}'
+    if not isinstance(given, Mapping):
+        raise CasacalError(f"Got {came(given)} as samples of {len(problem.names)} instruments", fix)
+    for name in given:
+        if name not in problem.names:
+            raise CasacalError(f"Samples came of '{name}', and no instrument is called that", fix)
+    for name in problem.names:
+        if name not in given:
+            fix = f"Give them, or calibrate without it: problem.measured_by('{next(iter(given), name)}')"
+            raise CasacalError(f"No samples came of the instrument '{name}'", fix)
+    return Measurements(
+        problem.names, tuple(samples_of(given[name], source, i) for i, name in enumerate(problem.names))
+    )
+
+
+def samples_of(given: Any, source: ProblemFile, i: int) -> Samples:
+    """Samples of instrument `i` of a problem; raises CasacalError."""
+    problem = source.problem
+    layout = problem.layout(i)
+    if isinstance(given, Samples):
+        given.check(layout)
+        return given
+    if given is None and (beside := source.samples_of(i)) is not None:
+        return problem.read(beside, i)
+    if isinstance(given, (str, Path)):
+        return problem.read(given, i)
+    if is_frame(given):
+        return Samples.from_frame(given, layout)
+    if isinstance(given, Mapping):
+        return Samples.from_arrays(given, layout)
+    raise CasacalError(f"Got {came(given)} as samples", "Give Samples, a file, a pandas DataFrame, or arrays by column")
+
+
+def chosen(method: str | Method | None, loss: Loss | None) -> tuple[Method, str]:
+    """The function that estimates, and what it is called."""
+    if loss is not None and not isinstance(loss, Loss):
+        raise CasacalError(f"Got {came(loss)} as the loss", "Give huber() or tukey()")
+    if method is None:
+        method = "sckf-lm" if loss is None else "lm"
+    if not isinstance(method, str):
+        if not callable(method) or hasattr(method, "options"):  # a study's Method takes a seed as well
+            fix = f"Give a name ({', '.join(METHODS)}) or a function of the least-squares problem"
+            raise CasacalError(f"Got {came(method)} as the method", fix)
+        run, name = method, str(getattr(method, "__name__", type(method).__name__)).replace("_", "-")
+    elif (own := method_of(method)) is not None:
+        run, name = own, method
+    else:
+        raise UnknownNameError("method", method, METHODS)
+    if loss is not None and method_of(name) is not run:
+        fix = "Let it minimise problem.cost(x, loss) by itself, and leave the loss out here"
+        raise CasacalError(f"The method '{name}' is a function of the problem alone, and takes no loss", fix)
+    if loss is not None and name in NO_LOSS:
+        known = ", ".join(each for each in METHODS if each not in NO_LOSS)
+        raise CasacalError(f"The method '{name}' takes no loss: it {NO_LOSS[name]}", f"Use one of {known}")
+    return run, name
+
+
+def estimate(
+    run: Method, name: str, fit: BoundProblem, seed: int, loss: Loss | None, progress: Progress | None
+) -> Result:
+    """Run a method: casacal's own with what they understand, others with the problem alone."""
+    if method_of(name) is not run:
+        return _judged(as_result(run(fit), fit, name))
+    # controls and the reference have nothing to report on the way
+    options: dict[str, Any] = {"progress": progress} if name not in ("ipopt", "plane-only") else {}
+    if name in RANDOM:
+        options["seed"] = seed
+    if loss is not None:
+        options["loss"] = loss
+    found = run(fit, **options)
+    assert isinstance(found, Result)
+    return _judged(found)
+
+
+def _judged(found: Result) -> Result:
+    """A result with a status that fails where it is no estimate, which many methods cannot tell by themselves."""
+    if not found.converged:
+        return found
+    if not math.isfinite(found.cost):
+        return replace(found, status=Status.NOT_FINITE)
+    if found.cost > replace(found, x=found.problem.x0, information=None).cost * (1 + WORSE):
+        return replace(found, status=Status.WORSE)
+    if (
+        found.status is Status.ONE_PASS
+    ):  # is the minimum farther than its spread explains, a chi-square of all unknowns?
+        step = found.problem.damped_step(found.x, found.problem.normal(found.x), 0.0)
+        if step is not None and step.squared_length > found.problem.unknowns:
+            return replace(found, status=Status.FAR)
+    return found
+
+
+AGREEMENT = 1e-8  # largest relative gap between the costs of two solvers that found the same minimum
+
+NEGLIGIBLE = 1e-6
+"""A gap in cost that means nothing, however small the costs are.
+
+The cost is minus the logarithm of the posterior, so a gap g in it is a distance of sqrt(2 g) posterior standard
+deviations: here little more than a thousandth of one. Costs of data that fit exactly are rounding, and so
+is their ratio.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Reference(Value):
+    """Result of an independent solver on the same objective."""
+
+    solver: str
+    result: Result
+    cost: float  # the objective as that solver itself evaluated it
+    relative_gap: float  # (cost of the method - cost of the reference) / cost of the reference
+
+    @property
+    def gap(self) -> float:
+        """Cost of the method less that of the reference."""
+        return self.relative_gap * max(self.cost, 1e-300)
+
+    @property
+    def limit(self) -> float:
+        """Largest gap of two solvers that found the same minimum."""
+        return max(AGREEMENT * self.cost, NEGLIGIBLE)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether both found the same minimum."""
+        return self.result.converged and abs(self.gap) <= self.limit

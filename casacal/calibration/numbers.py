@@ -1,0 +1,342 @@
+"""Numbers that are others than the problem says: where the tool is, one of the arm, or all lengths by one part."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
+
+import numpy as np
+
+from casacal.calibration.finding import Fault, Finding, Undone, freed_of_unknowns, quick_fit, weighted
+from casacal.data.samples import Samples
+from casacal.effects.selection import with_effects
+from casacal.errors import CasacalError
+from casacal.fit.bound_problem import BoundProblem, bind, times
+from casacal.fit.lm import lm
+from casacal.fit.result import Result
+from casacal.fit.seen import Seen
+from casacal.linalg import svd
+from casacal.model.problem import Problem
+from casacal.model.unknown import Parameter
+from casacal.uncertainty.evidence import evidence, told
+from casacal.uncertainty.figures import chance_beyond, noise_interval
+from casacal.uncertainty.moves import DULL, chance_of_move, common_scale
+from casacal.uncertainty.noise import found_noise
+from casacal.uncertainty.tip_error import tip_rms, tip_stds, without_rigid, workspace_joints
+from casacal.values import Array
+from casacal.wording import listed, mm, sized
+
+
+def tool_keys(problem: Problem) -> list[str]:
+    """Lengths of the instrument that say where its tip is; none for an instrument without one."""
+    probe, unknowns = problem.instrument.probe, problem.instrument.unknowns
+    moves = () if probe is None else probe.moves
+    return [key for key in moves if isinstance(found := unknowns.get(key), Parameter) and found.unit == "mm"]
+
+
+MEASURED = 1.0  # standard deviation, mm, with which people measure a tool
+TOLD = 4.5  # cost, in units of the noise, by which rows tell two causes apart: three standard deviations
+
+
+def priors_of(problem: Problem) -> Iterator[tuple[str, str, float, str]]:
+    """Name, key, prior and unit of every free number of the arm that has a finite one."""
+    for key, unknown in problem.robot.parameters.items():
+        if isinstance(unknown, Parameter):
+            for name, std, unit in zip(unknown.names(key), unknown.prior_stds, unknown.units, strict=True):
+                if math.isfinite(std):
+                    yield name, key, float(std), unit
+
+
+def as_good(bound: BoundProblem, groups: Mapping[str, Sequence[str]], freed: Result) -> dict[str, str]:
+    """Groups of unknowns, by title, that explain the rows as well as `freed` does, each with its deviation.
+
+    bound: the rows with every prior as stated. Each group is fitted with its own priors away.
+    """
+    found, cost = dict[str, str](), freed.cost + TOLD * max(noise_interval(freed)[0], 1.0) ** 2
+    for title, keys in groups.items():
+        try:
+            other = bind(bound.problem.free(*keys).with_prior(dict.fromkeys(keys, math.inf)), *bound.samples)
+            fitted = lm(other)
+        except CasacalError:  # nothing of it can be freed
+            continue
+        if fitted.converged and fitted.cost <= cost:
+            parts = tuple(f"{key}{sign}" for key in keys for sign in "_.")
+            rows = [j for j, each in enumerate(other.names) if each in keys or each.startswith(parts)]
+            far = max(rows, key=lambda j: abs(fitted.x[j]))
+            found[title] = f"{other.names[far]} by {fitted.x[far]:+.3g} {other.units[far]}"
+    return found
+
+
+def alike_numbers(bound: BoundProblem, keys: Sequence[str]) -> dict[str, str]:
+    """Numbers of the arm that explain rows as well as the tool (its keys) elsewhere does, and by how much."""
+    problem = bound.problem.free(*keys)
+    freed = lm(bind(problem.with_prior(dict.fromkeys(keys, math.inf)), *bound.samples))
+    if problem.free_names() != bound.problem.free_names():  # a tool that is held is yet no better than one measures it
+        bound = bind(problem.with_prior(dict.fromkeys(keys, MEASURED)), *bound.samples)
+    return as_good(bound, {name: [name] for name, *_ in priors_of(bound.problem)}, freed)
+
+
+CHANCE_OF_MOVE = 1e-3  # chance that a tool as stated moves so far, all its components together
+
+FAR = 2.0
+"""Prior standard deviations that a component must move: where the model is wrong, small moves look improbable, too."""
+
+
+def tool_elsewhere_at(bound: BoundProblem, x: Array, covariance: Array) -> list[Finding]:
+    """A warning where the tool moved far beyond its prior in a fit, at its estimate (n,) with the covariance (n, n).
+
+    Nothing for a held tool, or for one without a prior.
+    """
+    moves = {
+        full[key]
+        for instrument, full in zip(bound.problem.instruments, bound.problem.full_names, strict=True)
+        if (probe := instrument.probe) is not None
+        for key in probe.moves
+    }
+    named = {
+        name: j
+        for slot in bound.slots
+        if slot.key in moves
+        for name, j, unit in zip(slot.unknown.names(slot.name), slot.columns, slot.unknown.units, strict=True)
+        if unit == "mm" and np.isfinite(bound.prior_std[j])
+    }
+    own = np.array(list(named.values()), dtype=np.intp)
+    far = (np.abs(x[own]) > FAR * bound.prior_std[own]).any()
+    if not far or chance_of_move(bound, x, covariance, own) > CHANCE_OF_MOVE:
+        return []
+    moved = ", ".join(f"{name} by {x[j]:+.2f} mm (its prior: {bound.prior_std[j]:.2g})" for name, j in named.items())
+    cause = f"the samples put the tool in another place than the problem file does: {moved}"
+    fix = "Measure the tool again, and correct its position or prior in the problem file"
+    if others := alike_numbers(
+        bound, [slot.key for slot in bound.slots if slot.key in moves and "mm" in slot.unknown.units]
+    ):
+        cause += f"; or {'; '.join(others.values())}, which these samples cannot tell from it"
+        fix = f"Measure the tool from the flange first; only if it is as stated, look at {listed(list(others), 'or')}"
+    return [Finding("warning", "tool elsewhere", cause, fix)]
+
+
+WIDE = {"rad": 0.1, "mm": 20.0}  # smallest prior under which `calibrate` tries another number, by unit
+TWISTS = "alpha", "beta"  # angles of a DH table that no mastering moves
+WRONG = 5.0  # prior standard deviations from the drawing at which a number is another, not an error of manufacture
+SURE = 3.0  # standard deviations, with the noise as found, by which it must lie beyond
+
+ALONE = 16.0
+"""Times the others' mean by which what a number's prior costs must stand out: four standard deviations, squared."""
+
+SCALE, TOOL = "scale of the readings", "tool elsewhere"
+BY_CHANCE = 1e-4  # chance of a common scale, and more, where nothing scales lengths
+UNLIKELY = 1e-2  # the same, beyond which it is mentioned
+WARM = 1e-3  # part by which an arm grows that is 40 degrees warmer than its drawing, and more, of any metal
+MOST_PART = 0.1  # no dial is so wrong; where all touches were driven to one depth, readings seem to mean nothing at all
+
+TRIED = 2  # numbers that are freed one by one, those first that gain most
+
+
+def numbers(problem: Problem) -> Iterator[Fault]:
+    """Each number of the arm that has a prior, as a fault to be undone.
+
+    Of more freedom than a tool elsewhere, which is commoner: among so many, one or the other may fit by chance.
+    """
+    for name, _, _, unit in priors_of(problem):
+        cause = f"{name} seems to differ from the problem file"
+        yield Fault(f"{name} elsewhere", cause, _fix(name, unit), partial(_freed, name=name), 4, common=False)
+
+
+def wrong_number(bound: BoundProblem, *, alone: bool = False) -> list[Finding]:
+    """An error where one number of the arm, and no other, contradicts its prior.
+
+    A prior that holds a number back from where it is leaves residuals that look like noise, and once they count as
+    noise, nothing contradicts the prior any more. So this looks at the fit with the noise as stated. Where the rows are
+    likelier with the number as drawn and larger effects beside the geometry, it is not said to be another, unless
+    geometry is to stand `alone`.
+    """
+    stated = bound.with_noise() if bound.scale else bound
+    result = lm(stated)
+    if not result.converged:
+        return []
+    for name, key, unit in _promising(stated, result.x, np.diagonal(result.covariance)):
+        freed = bind(bound.problem.with_prior({name: math.inf}), *bound.samples)
+        found = lm(freed)
+        j, noise = freed.names.index(name), max(noise_interval(found)[0], 1.0)
+        by, std = float(found.x[j]), math.sqrt(found.covariance[j, j]) * noise
+        prior = float(bound.prior_std[j])
+        if found.converged and abs(by) > WRONG * prior + SURE * std:
+            wide = bind(bound.problem.with_prior({name: abs(by)}), *bound.samples)
+            if not alone and _likelihood(wide) < _likelihood(stated):
+                return []  # errors that rows share pull a number far as well
+            size = f"{_by(bound.problem, key, name, by)}, which is {abs(by) / prior:.2g} prior standard deviations"
+            if rivals := _rivals(bound, name, found):
+                return [_one_of(bound.problem, rivals, name, size)]
+            cause = f"{name} seems to differ from the problem file{size}; no other parameter is so far off"
+            return [Finding("error", f"{name} elsewhere", cause, _fix(name, unit) + _tried(name, unit, by))]
+    return []
+
+
+def _rivals(bound: BoundProblem, name: str, freed: Result) -> dict[str, str]:
+    """Other numbers of tool, instrument and arm that explain the rows as well, each with its deviation.
+
+    The instrument's own numbers come first, the tool before all others: it is what people exchange and mistype.
+    """
+    problem = bound.problem
+    own = dict.fromkeys(full for key, full in problem.full_names[0].items() if key not in problem.instrument.datum)
+    tool = [problem.full_names[0][key] for key in tool_keys(problem)]
+    groups = {**({"tool": tool} if tool else {}), **{key: [key] for key in own if key not in tool}}
+    return as_good(bound, groups | {each: [each] for each, *_ in priors_of(problem) if each != name}, freed)
+
+
+def _one_of(problem: Problem, rivals: Mapping[str, str], name: str, size: str) -> Finding:
+    """An error on one of several numbers that the rows cannot tell apart."""
+    probe = problem.instrument.probe
+    zero = " and the zero of the dial" if probe is not None and probe.column is not None else ""
+    said = [f"{'the ' if title == 'tool' else ''}{title} ({by})" for title, by in rivals.items()]
+    cause = (
+        "one of these seems to differ from the problem file, and these samples cannot tell which: "
+        f"{'; '.join(said)}; {name} ({size.removeprefix(', ')})"
+    )
+    first = f"the tool from the flange{zero} first" if "tool" in rivals else listed([*rivals, name])
+    fix = (
+        f"Measure {first}, and correct in the problem file only what proves to be wrong: another choice fits as well "
+        "and puts the flange elsewhere"
+    )
+    return Finding("error", f"{listed([*rivals, name], 'or')} elsewhere", cause, fix)
+
+
+def wrong_scale(bound: Seen, x: Array, covariance: Array) -> list[Finding]:
+    """A finding where all lengths of an estimate x (n,) share a scale error, as after an instrument of wrong scale.
+
+    No arm is built so, and such rows fit well. It counts where it moves the tip, over the workspace and apart from the
+    base, by more than half of what this is expected to err. A dial on planes, which contain no length, is an error.
+    Trackers and the like see how much an arm grew: they count where it is more than warmth does, and as a warning where
+    one of a hundred arms has it.
+    """
+    dials = [one for one in bound.problem.instruments if one.probe is not None and one.probe.column is not None]
+    alone = all(one.probe is not None for one in bound.problem.instruments)
+    found = common_scale(bound, x, covariance) if dials or not alone else None
+    least, seldom = (0.0, BY_CHANCE) if alone else (WARM, UNLIKELY)
+    if found is None or found.chance > seldom or not least <= abs(found.part) <= MOST_PART:
+        return []
+    joints = workspace_joints(bound.problem.robot)
+    field = without_rigid(bound.tip_jacobian(x, joints), bound.tips(x, joints))
+    if tip_rms(field @ found.off) < tip_rms(tip_stds(covariance, field).ravel()) / 2:
+        return []
+    size, way = f"{100 * abs(found.part):.2g}", "large" if found.part > 0 else "small"
+    cause = f"all lengths came out {size} % too {way} together; no arm is built so, "
+    if not alone:
+        cause += f"and warmth changes it by less than 0.1 %, but lengths that are taken for too {way} do that"
+        fix = f"Compare with a known length: {bound.problem.words.trusted or 'the scale of the instrument'}"
+        return [Finding("error" if found.chance <= BY_CHANCE else "warning", SCALE, cause, fix)]
+    cause += f"but a dial that shows {size} % too {'much' if found.part > 0 else 'little'} does that"
+    declared = any("gain" in one.unknowns for one in dials)
+    state = f"--prior gain={size}" if declared else f"gain=dial_gain({size}) of the instrument"
+    fix = (
+        "Have the dial calibrated, or touch a gauge block's step, which contains a length; or declare that the gain "
+        f"may be so wrong ({state}), so that the priors decide how large the arm is"
+    )
+    return [Finding("error", SCALE, cause, fix)]
+
+
+SEEN = 1e-3  # whitened effect of a difference as large as the prior's, below which rows do not see it
+
+
+def not_the_same(bound: BoundProblem, result: Result) -> list[Finding]:
+    """An error for what is declared as shared and differs between instruments, at the estimate of all their rows.
+
+    An instrument that had one of its own would see it by the derivative of its own rows. The fall of chi-square by such
+    a difference, all unknowns following within their priors, has as many degrees of freedom as directions show.
+    """
+    owners = np.searchsorted(np.cumsum([len(some) for some in bound.samples]), bound.sample_of, side="right")
+    found = []
+    for key, names in bound.problem.shared.items():
+        slots = [slot for slot in bound.slots if slot.key == key and slot.unknown.size]
+        columns = np.array([j for slot in slots for j in slot.columns], dtype=np.intp)
+        if not columns.size or not result.converged:
+            continue
+        scale, slopes = bound.start_std[columns], bound.jacobian(result.x)[:, columns]
+        own = [np.where(owners == bound.problem.number(name), 1.0, 0.0)[:, None] * slopes * scale for name in names[1:]]
+        left, sizes, along = svd(freed_of_unknowns(bound, result, np.hstack(own)))
+        seen = sizes > SEEN
+        gains = left[:, seen].T @ weighted(bound, result, bound.residual(result.x))
+        if not seen.any() or chance_beyond(float(gains @ gains), float(seen.sum())) > BY_CHANCE:
+            continue
+        apart = (-(along[seen].T @ (gains / sizes[seen]))).reshape(len(names) - 1, -1) * scale
+        label = [name for slot in slots for name in slot.unknown.names(slot.name)]
+        far = np.unravel_index(int(np.argmax(np.abs(apart / scale))), apart.shape)
+        by, unit = abs(float(apart[far])), bound.units[columns[far[1]]]
+        cause = (
+            f"'{key}' is declared as the same for {listed(names)}, and is not: {label[far[1]]} of {names[1 + far[0]]} "
+            f"is "
+            f"{mm(by) if unit == 'mm' else sized(by, unit)} away from that of {names[0]}"
+        )
+        fix = f"Measure again with the same for all, or leave '{key}' out of `shared`: then each has its own"
+        found.append(Finding("error", f"{key} not the same", cause, fix))
+    return found
+
+
+def without_its_likes(findings: Iterable[Finding]) -> list[Finding]:
+    """The findings without numbers that only look wrong because the scale of the readings is."""
+    found = list(findings)
+    scaled = any(each.about == SCALE for each in found)
+    if any(each.about.startswith(("tool or ", "tool, ")) for each in found):
+        found = [each for each in found if each.about != TOOL]
+    return [each for each in found if not (scaled and each.about.endswith(" elsewhere") and each.about != TOOL)]
+
+
+def _likelihood(bound: BoundProblem) -> float:
+    """Logarithm of the marginal likelihood of rows where effects beside the geometry are as large as they show."""
+    fit = with_effects(bound.with_noise(found_noise(bound).scale), bound.problem)
+    found = lm(fit)
+    fit = fit.with_noise(times(fit.scale, noise_interval(found)[0]))
+    return evidence(told(fit, found.x), fit.prior_information) - float(np.log(fit.noise).sum())
+
+
+def _promising(bound: BoundProblem, x: Array, variances: Array) -> list[tuple[str, str, str]]:
+    """Names, keys and units of the numbers whose prior costs far more than that of any other.
+
+    Without it twice the cost falls by x^2 / (s^2 - C), the square of a standard normal number where the prior is right;
+    where all priors are too tight, or the noise is, all of these grow.
+    """
+    gains = {}
+    for name, key, std, unit in priors_of(bound.problem):
+        j = bound.names.index(name)
+        told = std**2 - variances[j]
+        gains[name, key, unit] = float(x[j] ** 2 / told) if told > DULL * std**2 else 0.0
+    order, total = sorted(gains, key=lambda each: -gains[each]), sum(gains.values())
+    others = max(len(gains) - 1, 1)
+    return [each for each in order[:TRIED] if gains[each] > ALONE * max((total - gains[each]) / others, 1.0)]
+
+
+def _freed(problem: Problem, samples: Samples, *, name: str) -> Undone:
+    """The number free of its prior, and where the samples put it, so that further fits begin there."""
+    key, unit = next((key, unit) for each, key, _, unit in priors_of(problem) if each == name)
+    freed = problem.with_prior({name: math.inf})
+    fitted = quick_fit(freed, samples)
+    if fitted is None:
+        return Undone(problem, samples)
+    bound, result = fitted
+    by = float(result.x[bound.names.index(name)])
+    return Undone(freed, samples, _by(problem, key, name, by), result.x, _tried(name, unit, by))
+
+
+def _by(problem: Problem, key: str, name: str, by: float) -> str:
+    unknown = problem.robot.parameters[key]
+    assert isinstance(unknown, Parameter)
+    drawn = unknown.nominal
+    assert drawn is not None
+    at = float(drawn[unknown.component_names(key).index(name)])
+    if unknown.unit == "rad":
+        return f", by {math.degrees(by):+.3g} degrees from {math.degrees(at):.6g}"
+    return f", by {by:+.4g} {unknown.unit} from {at:.6g}"
+
+
+def _fix(name: str, unit: str) -> str:
+    mastered = unit == "rad" and not name.startswith(TWISTS)
+    return f"Correct {name} in the problem file{', or re-master that joint' if mastered else ''}"
+
+
+def _tried(name: str, unit: str, by: float) -> str:
+    """Which prior lets `calibrate` try it: at least as wide as the number is far away, in one digit."""
+    if unit not in WIDE:
+        return ""
+    digit = 10.0 ** math.floor(math.log10(max(abs(by), WIDE[unit])))
+    return f" (--prior {name}={math.ceil(max(abs(by), WIDE[unit]) / digit) * digit:g} tries it)"

@@ -1,0 +1,396 @@
+"""report.html: one page about a calibration, to open offline, print and file; its sections in order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from casacal.calibration import tables
+from casacal.calibration.calibration import Calibration
+from casacal.calibration.motion import Tried, tip_extremes
+from casacal.calibration.report_pictures import LOOKED_AT, Part, Touches, face_maps, histograms, row_plots
+from casacal.calibration.result_parts import closing as closing_part
+from casacal.calibration.result_parts import geometry, noise_part, parameter_rows, verdict_lines
+from casacal.calibration.verdict import verdict_of
+from casacal.deployment.result import Level
+from casacal.effects.selection import VERY_STRONG
+from casacal.pages.drawing import (
+    Panel,
+    Scale,
+    axes,
+    cells,
+    count,
+    dots,
+    figure,
+    fixed,
+    in_squares,
+    line,
+    mm,
+    picture,
+    rendered,
+    shortened,
+)
+from casacal.uncertainty.tip_error import Box, accuracy_in_box, tip_stds, up_to_base, workspace_joints
+from casacal.values import Array
+from casacal.wording import METRE, capital, numbered_lines, sized
+
+MOST_FACES = 40  # faces with a line of their own
+SHOWN = 10  # rows listed
+LARGE = 4.0  # whitened residual beyond which fewer than one in ten thousand good rows lie
+
+
+def measured(touches: Touches, planes: Mapping[str, Any]) -> dict[str, Any]:
+    """Rows by face, and where the faces are, of one instrument: its tables and a note."""
+    if not touches.has_faces:
+        return {"name": touches.name, "tables": _columns(touches), "note": ""}
+    faces, instrument = touches.faces[:MOST_FACES], touches.instrument
+    beyond = len(touches.faces) - MOST_FACES
+    more = f" {count(beyond, 'further one')} are in result.json." if beyond > 0 else ""
+    titles = [capital(instrument.words.group), "#Rows", "#Held out"]
+    named = {name for label in touches.faces for name in _plane_names(touches.name, label)}
+    if instrument.probe is None and not named & set(planes):
+        rows = [_face(touches, label, {})[: len(titles)] for label in faces]
+        own = _table(touches, "faces", f"Rows of each {instrument.words.group}", titles, rows)
+        return {"name": touches.name, "tables": [own, *_columns(touches)], "note": more}
+    titles += ["#Dial reading, mm", "#Tilt, deg", "#Touched area, mm", "#Normal", "#Point on it, mm"]
+    rows = [_face(touches, label, planes) for label in faces]
+    notes = "Tilt is the angle between plunger and face normal. Normal and point are as found, in the base frame."
+    if max(len(part.rows_of(label)) for part in touches.parts for label in faces) > LOOKED_AT:
+        notes += f" Tilt and area are of up to {LOOKED_AT:,} rows per face, evenly spread."
+    own = _table(touches, "faces", "Faces and rows", titles, rows, look="wide")
+    return {"name": touches.name, "tables": [own], "note": notes + more}
+
+
+def worst_rows(each: Sequence[Touches]) -> dict[str, Any]:
+    """The rows of all instruments that fit worst, most telling first, and how many are beyond `LARGE`."""
+    worst: list[tuple[float, int, list[object]]] = []
+    beyond, calibration = 0, each[0].calibration
+    for name, part in ((of.name, part) for of in each for part in of.parts):
+        white = np.abs(part.after / part.noise).max(axis=1)
+        beyond += int((white > LARGE).sum())
+        for i in np.argsort(-white, kind="stable")[:SHOWN].tolist():
+            line, *cells = _row(part, i, float(white[i]))
+            worst.append((-float(white[i]), int(part.lines[i]), [f"{name} {line}".strip(), *cells]))
+    worst.sort(key=lambda entry: entry[:2])
+    titles = ["Line", capital(calibration.fit.problem.words.group), "Rows", "#Residual, mm"]
+    titles += [f"#Times {calibration.noise_words}", *(["#Weight"] if calibration.result.loss is not None else [])]
+    rows = [cells[: len(titles)] for _, _, cells in worst[:SHOWN]]
+    return {"beyond": beyond, "large": f"{LARGE:g}", "columns": titles, "rows": rows}
+
+
+def _table(
+    touches: Touches, name: str, caption: str, columns: list[str], rows: Sequence[object], *, look: str = ""
+) -> dict[str, Any]:
+    return {"name": touches.named(name), "caption": caption, "columns": columns, "rows": rows, "look": look}
+
+
+def _columns(touches: Touches) -> list[dict[str, Any]]:
+    """A table with the range of each column that the instrument read."""
+    spans = [
+        [name, fixed(float(values.min()), 3), fixed(float(values.max()), 3)]
+        for name, values in ((name, touches.samples.columns[name]) for name in touches.instrument.columns)
+    ]
+    titles = ["Column", "#Smallest", "#Largest"]
+    return [_table(touches, "columns", "What the instrument read (mm, rad)", titles, spans)] if spans else []
+
+
+def _plane_names(instrument: str, label: str) -> tuple[str, ...]:
+    """Names under which the plane of a face may be listed, likeliest first."""
+    return (f"{instrument} {label}", instrument, label, "plane") if instrument else (label, "plane")
+
+
+def _face(touches: Touches, label: str, planes: Mapping[str, Any]) -> list[object]:
+    rows = [len(part.rows_of(label)) for part in touches.parts]
+    probe = touches.instrument.probe
+    column = None if probe is None else probe.column
+    readings = [part.samples.columns[column][part.rows_of(label)] for part in touches.parts if column is not None]
+    travel = np.concatenate(readings) if readings else np.zeros(0)
+    places = touches.places(label)
+    area, tilt = "on a line", "–"
+    if places is not None:
+        wide, high = np.ptp(places.uv, axis=0)
+        area = f"{wide:.0f} × {high:.0f}"
+        tilt = _range(places.tilts, 1)
+    plane = next((planes[name] for name in _plane_names(touches.name, label) if name in planes), None)
+    normal, point = ("–", "–") if plane is None else (_triple(plane["normal"], 5), _triple(plane["point_mm"], 2))
+    held = rows[1] if len(rows) > 1 else 0
+    return [shortened(label, 60), f"{sum(rows):,}", f"{held:,}", _range(travel, 2), tilt, area, normal, point]
+
+
+def _range(values: Array, digits: int) -> str:
+    return f"{fixed(float(values.min()), digits)} to {fixed(float(values.max()), digits)}" if len(values) else "–"
+
+
+def _triple(values: Any, digits: int) -> str:
+    return ", ".join(fixed(float(value), digits) for value in values)
+
+
+def _row(part: Part, i: int, white: float) -> list[str]:
+    component = int(np.argmax(np.abs(part.after[i] / part.noise[i])))
+    labels = part.labels
+    return [
+        str(part.lines[i]),
+        "–" if labels is None else shortened(labels[i], 40),
+        "held\N{NO-BREAK SPACE}out" if part.held else "fitted",
+        fixed(float(part.after[i, component]), signed=True),
+        fixed(white, 1),
+        "–" if part.held else fixed(float(part.weight[i]), 2),
+    ]
+
+
+SQUARES = 24  # squares along the longer side of a view
+MARKED = 240  # touches drawn on the maps, of all faces together
+POSTURES = 8192  # random postures within the joint limits that the map is made of; a multiple of the kernels' block
+
+
+TITLES = {"error": "Expected tip error", "correction": "Correction"}
+CAPTIONS = {
+    "error": f"Expected tip error after calibration, from {POSTURES:,} random postures within the joint limits; "
+    "black dots are where it touched. Each square is the RMS over the postures that lead there. Verify where it is "
+    "dark before you rely on it.",
+    "correction": "How far the calibrated tip lies from the nominal one, apart from the position of the base: what "
+    "the calibration changes.",
+}
+
+
+def expected_error(each: Sequence[Touches], box: Box | None) -> dict[str, Any]:
+    """Rows of the table of figures, the largest correction, and maps of error and correction from two sides."""
+    calibration = each[0].calibration
+    workspace = Workspace.of(calibration)
+    faces = [
+        touches.places(label, max(MARKED // (len(each) * len(touches.faces)), 3))
+        for touches in each
+        for label in touches.faces[:MARKED]
+    ]
+    marks = np.vstack([np.zeros((0, 3)), *(places.tips for places in faces if places is not None)])
+    moved, worst = tip_extremes(calibration.motion, calibration.workspace)
+    (before, now), (alone, missed) = calibration.tip_std, calibration.tip_std_without_prior
+    unseen = f", {count(missed, 'direction')} unseen" if missed else ""
+    rows = [
+        ["Before: priors alone", mm(before), "–"],
+        ["After: samples and priors", mm(now), mm(worst)],
+        [f"Samples alone, without priors{unseen}", mm(alone) if alone < METRE else "unbounded", "–"],
+    ]
+    if box is not None:
+        motion = calibration.motion
+        rms, most = accuracy_in_box(motion.arm, motion.x, box, motion.off)
+        ranges = ", ".join(f"{axis} {low:g} to {high:g}" for axis, (low, high) in zip("xyz", box, strict=True))
+        rows.append([f"After, inside the box {ranges} mm", mm(rms), mm(most)])
+    error = _maps("error", "expected tip error, mm", workspace.error, workspace.tips, marks, box)
+    words = "distance of the calibrated from the nominal tip, mm"
+    correction = _maps("correction", words, workspace.correction, workspace.tips, marks, box)
+    return {"rows": rows, "moved": moved, "maps": [(TITLES["error"], error), (TITLES["correction"], correction)]}
+
+
+def _maps(name: str, words: str, values: Array, tips: Array, marks: Array, box: Box | None) -> Markup:
+    """Values (N,) at tips from the side and from the top, where the box is drawn."""
+    scale, title = Scale.of_sizes(values), TITLES[name]
+    caption = CAPTIONS[name] + (" The black frame is the box that was asked for." if box is not None else "")
+
+    def view(side: str, points: Array, seen: Array, across: str, up: str, *drawn: Box) -> Markup:
+        squares = in_squares(points, values**2, SQUARES)
+        panel = Panel.square(
+            (float(squares.x.min()), float(squares.x.max()) + squares.side),
+            (float(squares.y.min()), float(squares.y.max()) + squares.side),
+        )
+        parts = [
+            cells(panel, squares.x[rows], squares.y[rows], squares.side, colour)
+            for colour, rows in scale.parts(np.sqrt(squares.values))
+        ]
+        frames = [
+            line(panel, np.array([x0, x1, x1, x0, x0]), np.array([y0, y0, y1, y1, y0]), "box")
+            for (x0, x1), (y0, y1), _ in drawn
+        ]
+        return picture(
+            f"{name}-{side}",
+            f"{title}, {side} view",
+            f"Root mean square by square of {squares.side:.0f} mm; from {mm(values.min())} to {mm(values.max())}.",
+            panel.height,
+            axes(panel, across, f"{side} view: {up}", upright=True),
+            *parts,
+            *(dots(panel, seen[:, 0], seen[:, 1], look) for look in ("touch-halo", "touch")),
+            *frames,
+        )
+
+    of_tips, of_marks = (np.column_stack([np.hypot(*each[:, :2].T), each[:, 2]]) for each in (tips, marks))
+    return figure(
+        caption,
+        view("side", of_tips, of_marks, "distance from the base's axis, mm", "height, mm"),
+        view("top", tips[:, :2], marks[:, :2], "x, mm", "y, mm", *([] if box is None else [box])),
+        key=scale.key(f"{name}-key", words, unbounded=not bool(np.isfinite(values).all())),
+    )
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Tips (N, 3) of random postures, and at each the expected error and the correction (N,), all mm.
+
+    Both apart from the position of the base. The error is the standard deviation, its three axes together; the
+    correction is how far the calibrated tip lies from the nominal one.
+    """
+
+    tips: Array
+    error: Array
+    correction: Array
+
+    @staticmethod
+    def of(calibration: Calibration) -> Workspace:
+        """Over postures of its own; the base frame is that of the postures that the summary's figure is of."""
+        motion = calibration.motion
+        arm, x = motion.arm, motion.x
+        frame_joints, frame_tips, frame_slopes = calibration.workspace
+        joints = workspace_joints(arm.problem.robot, poses=POSTURES, seed=1)
+        tips, slopes = arm.tips(x, joints), arm.tip_jacobian(x, joints)
+        field = up_to_base(slopes, tips, frame_slopes, frame_tips)
+        error = np.linalg.norm(tip_stds(motion.covariance, field, motion.off), axis=1)
+        moved = (tips - arm.tips(arm.x0, joints)).reshape(-1, 1)
+        frame_moved = (frame_tips - arm.tips(arm.x0, frame_joints)).reshape(-1, 1)
+        correction = np.linalg.norm(up_to_base(moved, tips, frame_moved, frame_tips).reshape(-1, 3), axis=1)
+        return Workspace(tips, error, correction)
+
+
+LOOKS: Mapping[Level, str] = {"calibrated": "good", "use with care": "care", "do not use": "bad"}
+"""How the page paints each level."""
+
+LINES = 60  # line numbers that are named
+
+
+def report_page(
+    calibration: Calibration, document: Mapping[str, Any], *, command: str | None = None, box: Box | None = None
+) -> str:
+    """HTML of the report: one page that needs no other file, no network and no script.
+
+    document: its result.json, whose numbers the page shows (`calibration_document`). command: the command line that
+    reproduces it, as typed, if there was one. box: where the arm will work, mm in the base frame.
+    """
+    each = tuple(Touches.of(calibration, i) for i in range(len(calibration.fit.samples)))
+    problem, denied = calibration.fit.problem, verdict_of(calibration).level == "do not use"
+    noise, closing = noise_part(calibration.unjudged), closing_part(calibration.result, calibration.seconds)
+    planes = geometry(calibration.fit, calibration.used_x)["planes"]
+    parameters, held = tables.parameters(calibration)
+    costly, harmless = tables.directions(calibration)
+    context = {
+        "title": f"Calibration of {problem.robot.name} ({calibration.source.name})",
+        "document": document,
+        "robot": problem.robot.name,
+        "said": problem.words,
+        "assumed": calibration.assumed,
+        "noise_of": calibration.noise_words,
+        "loss": calibration.result.loss,
+        "reference": calibration.reference,
+        "command": command,
+        "code": lambda value: Markup("<code>{}</code>").format(value),
+        "numbered": lambda lines: numbered_lines(lines, LINES),
+        **_counts(calibration),
+        "unknowns": f"{calibration.fit.unknowns:,}",
+        **_verdict(calibration),
+        "figures": _figures(calibration),
+        "measured": [measured(touches, planes) for touches in each],
+        "residuals": tables.residuals(calibration),
+        "left_out": tables.left_out(calibration),
+        "noise": noise,
+        "noise_words": _noise(calibration, noise),
+        "pictures": [
+            {"name": t.name, "histograms": histograms(t), "rows": row_plots(t), "faces": face_maps(t)} for t in each
+        ],
+        "expected": None if denied else expected_error(each, box),
+        "parameters": parameters if denied else replace(parameters, rows=[_marked(row) for row in parameters.rows]),
+        "held": held,
+        "correlations": None if denied else tables.correlations(calibration),
+        "cures": None if denied else tables.next_steps(calibration),
+        "directions": costly,
+        "harmless": harmless,
+        "effects": tables.effects(calibration),
+        "tried": _tried(calibration.tried),
+        "very_strong": f"{VERY_STRONG:g}",
+        "worst": worst_rows(each),
+        "lines_aside": calibration.aside_lines,
+        "versions": ", ".join(f"{name} {version}" for name, version in closing["versions"].items()),
+        "seconds": ", ".join(f"{name} {value:.2f} s" for name, value in closing["seconds"].items()),
+    }
+    return rendered("report.html", context)
+
+
+def _counts(calibration: Calibration) -> dict[str, Any]:
+    """How many rows were fitted, held out, set aside and left out, and what was held out together."""
+    kept = 0 if calibration.heldout is None else len(calibration.heldout.measured)
+    aside, copies = len(calibration.aside_lines), calibration.copies
+    besides = [f"{aside:,} set aside"] if aside else []
+    besides += [f"{copies:,} {'copy' if copies == 1 else 'copies'} left out"] if copies else []
+    counts = [f"{len(calibration.fit.measured):,} fitted", f"{kept:,} held out", *besides]
+    together = "" if calibration.heldout_by == "rows" or not kept else f" by {calibration.heldout_by}"
+    return {"counts": counts, "aside": besides, "together": together}
+
+
+def _verdict(calibration: Calibration) -> dict[str, Any]:
+    """The verdict in words, after that of the arm with columns that tell effects, and its colour."""
+    verdict = verdict_of(calibration)
+    return {"look": LOOKS[verdict.level], "verdict_lines": verdict_lines(calibration, verdict)}
+
+
+def _figures(calibration: Calibration) -> list[tuple[str, str, str]]:
+    """The boxes under the verdict: title, value and explanation of each."""
+    before, after, (drawn, now) = calibration.metrics["before"], calibration.metrics["after"], calibration.tip_std
+    was, left, where = before["fit"], after["fit"], "fitted rows"
+    if after["heldout"] is not None:
+        was, left, where = before["heldout"], after["heldout"], "held-out rows"
+    assert was is not None
+    assert left is not None
+    free = [row for row in parameter_rows(calibration) if row["known_from"] != "held"]
+    known = sum(row["known_from"] == "samples" for row in free)
+    found, reference = calibration.identifiability, calibration.reference
+    expected = ("Expected tip error", "not stated", "the result must not be used")
+    if verdict_of(calibration).level != "do not use":
+        words = f"RMS over the workspace, apart from the position of the base; before {mm(drawn)}"
+        expected = ("Expected tip error", mm(now), words)
+    residual = f"RMS of the {where}; before {mm(was['rmse_mm'], 4)}"
+    agreement, checked = "not run", "nothing checked"
+    if reference is not None:
+        checked, agreement = "on", f"{reference.solver.upper()} {'agrees' if reference.agrees else 'differs'}"
+    minimum = f"{checked} the minimum; rank {found.rank} of {count(found.unknowns, 'unknown')}"
+    return [
+        expected,
+        ("Residual: not accuracy", mm(left["rmse_mm"], 4), residual),
+        ("Known from samples", f"{known} of {len(free)}", "parameters; the others depend on the prior"),
+        ("Second solver", agreement, minimum),
+    ]
+
+
+def _marked(row: Sequence[str]) -> list[str]:
+    """A parameter's row with the mark of who determined it."""
+    return [*row[:-1], Markup('<span class="known {}">{}</span>').format(row[-1].replace(" ", "-"), row[-1])]
+
+
+def _noise(calibration: Calibration, noise: Mapping[str, Any]) -> str:
+    faces = [face for face in noise["by_face"].values() if "unit" not in face]
+    if not calibration.noise.scale or not faces:
+        return "Every figure uses the noise as stated."
+    used, stated = (
+        " to ".join(dict.fromkeys(fixed(edge([face[key] for face in faces])) for edge in (min, max)))
+        for key in ("used_mm", "stated_mm")
+    )
+    joints = noise["joints_rad"]
+    more = f" The pattern fits a joint repeatability of {sized(joints, 'rad')}." if joints else ""
+    return f"Every figure uses the noise as found: {used} mm, stated {stated} mm.{more}"
+
+
+def _tried(tried: Sequence[Tried]) -> dict[str, Any]:
+    """Which effects could be corrected, and which are."""
+    splits = list(dict.fromkeys(name for each in tried for name in each.unseen))
+    yes = {None: "–", True: "yes", False: "no"}
+    rows = [
+        [
+            capital(each.words),
+            "by columns of the rows" if each.told else yes[each.corrected],
+            f"{each.evidence:.1f}",
+            *(f"{each.unseen[name]:.1f}" if name in each.unseen else "–" for name in splits),
+            yes[each.helps],
+        ]
+        for each in tried
+    ]
+    gains = [f"#Gain, {name} left out" for name in splits]
+    return {"columns": ["Effect", "Corrected", "#Gain, all rows", *gains, "Tip error smaller"], "rows": rows}

@@ -1,1 +1,0 @@
-"""The data doctor: what is wrong with samples, in words, before anyone trusts a fit."""

@@ -1,0 +1,1 @@
+"""Samples: validated rows of joint values and readings, from tables of any kind."""

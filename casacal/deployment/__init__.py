@@ -1,0 +1,1 @@
+"""A calibrated arm in use: results, predictions, compensated targets, and exports."""

@@ -1,0 +1,257 @@
+"""The result of a calibration as a typed value: read once from result.json, used by everything after it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from casacal.values import Array, FrozenMapping, Value, read_only
+
+Level = Literal["calibrated", "use with care", "do not use"]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How far a result may be used: a level, one sentence, and the reasons when it is not simply calibrated."""
+
+    level: Level
+    words: str
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterFound(Value):
+    """One number of the arm or the instrument, mm or rad; the standard deviation is NaN where it is not known."""
+
+    name: str
+    unit: str
+    nominal: float
+    estimate: float
+    std: float
+    known_from: str = ""
+
+    @property
+    def change(self) -> float:
+        """Estimate less nominal."""
+        return self.estimate - self.nominal
+
+
+@dataclass(frozen=True, eq=False)
+class TipErrors(Value):
+    """Tip error to expect over the workspace, mm RMS, now and by the priors, and the flange's; NaN where denied."""
+
+    expected_mm: float
+    prior_mm: float
+    flange_expected_mm: float
+    flange_prior_mm: float
+
+
+TIP_ERRORS = ("expected", "prior", "flange_expected", "flange_prior")
+
+
+@dataclass(frozen=True, eq=False)
+class FaceNoise(Value):
+    """Noise of a face, mm: as stated, as used, and as used but for what the joints do not repeat."""
+
+    stated_mm: float
+    used_mm: float
+    without_joints_mm: float
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseFound(Value):
+    """Noise over what was stated with its 95 % interval, by face, and what joints do not repeat, rad."""
+
+    ratio: float
+    low: float
+    high: float
+    joints_rad: float
+    by_face: Mapping[str, FaceNoise]
+
+
+@dataclass(frozen=True)
+class EffectFound:
+    """An effect beside the geometry, and by how many times its usual size it was found."""
+
+    key: str
+    words: str
+    times: float
+
+
+@dataclass(frozen=True, eq=False)
+class EffectsFound(Value):
+    """Non-geometric effects of arm and cell.
+
+    effects: all that were looked for. corrected: keys of those that are. values, of: unknowns by name, and the key of
+    the effect that each belongs to. without_corrections: the geometry, by name, where nobody corrects an effect.
+    covariance (k, k) of the unknowns `covariance_of`, geometry and effects together, and by how much each of these is
+    elsewhere than the arm is said to be (`off`); None where the verdict denies them. usual, mean, spread: RMS, mean and
+    standard deviation in the fitted rows of the columns of a row model that tell effects. ranges: lowest and highest
+    amount by column of a file. further: columns of a file that tell an effect, by its key. uncorrected_mm: tip error
+    to expect, mm RMS, where nobody corrects an effect.
+    """
+
+    effects: tuple[EffectFound, ...]
+    corrected: tuple[str, ...]
+    values: Mapping[str, float]
+    of: Mapping[str, str]
+    without_corrections: Mapping[str, float]
+    covariance_of: tuple[str, ...]
+    covariance: Array | None
+    off: Array | None
+    usual: Mapping[str, float]
+    mean: Mapping[str, float]
+    spread: Mapping[str, float]
+    ranges: Mapping[str, tuple[float, float]]
+    further: Mapping[str, tuple[str, ...]]
+    uncorrected_mm: float
+
+
+@dataclass(frozen=True, eq=False)
+class FittedData(Value):
+    """The samples: file (of each of several instruments), SHA-256, and the listing of the fitted rows, where known."""
+
+    file: str | None
+    sha256: str
+    fitted_rows: Mapping[str, Any] | None
+    instruments: Mapping[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationResult(Value):
+    """Calibrated parameters of an arm; or, method "truth", its true ones in a simulation.
+
+    unknowns: deviations from nominal by name, mm and rad, and `proposed` what those of faces and the like count from.
+    covariance (n, n) of the unknowns `covariance_of`, infinite where neither samples nor prior hold one; None where
+    the verdict denies it, and of a truth. planes: names of the faces.
+    """
+
+    method: str
+    status: str
+    converged: bool
+    verdict: Verdict | None
+    parameters: tuple[ParameterFound, ...]
+    unknowns: Mapping[str, float]
+    proposed: Mapping[str, Array]
+    planes: tuple[str, ...]
+    covariance_of: tuple[str, ...]
+    covariance: Array | None
+    tip: TipErrors
+    noise: NoiseFound
+    effects: EffectsFound
+    data: FittedData
+    cost: float = math.nan
+
+    def values(self, *, alone: bool) -> dict[str, float]:
+        """Deviations of all unknowns of geometry and instrument, by name; `alone`: where no effect is corrected."""
+        known = {**self.unknowns, **{row.name: row.change for row in self.parameters}}
+        return {**known, **self.effects.without_corrections} if alone else known
+
+    @property
+    def of_effects(self) -> dict[str, float]:
+        """Unknowns of the effects that are corrected, by name, as they were found."""
+        found = self.effects
+        return {name: value for name, value in found.values.items() if found.of[name] in found.corrected}
+
+    @property
+    def called(self) -> dict[str, str]:
+        """The words for each effect, by key."""
+        return {each.key: each.words for each in self.effects.effects}
+
+
+def result_of(document: Mapping[str, Any]) -> CalibrationResult:
+    """The value that a result.json holds, which `check_document` found sound."""
+    said, tip = document.get("verdict"), document.get("tip") or {}
+    unknowns = _values(document.get("unknowns"))
+    names, covariance = document.get("covariance_of"), document.get("covariance")
+    return CalibrationResult(
+        method=str(document.get("method") or ""),
+        status=str(document.get("status") or ""),
+        converged=bool(document.get("converged", False)),
+        verdict=Verdict(said["level"], said["words"], tuple(said.get("reasons") or ())) if said else None,
+        parameters=tuple(
+            ParameterFound(
+                row["name"],
+                row.get("unit", ""),
+                float(row["nominal"]),
+                float(row["estimate"]),
+                _number(row.get("std")),
+                str(row.get("known_from", "")),
+            )
+            for row in document.get("parameters", ())
+        ),
+        unknowns=FrozenMapping(unknowns),
+        proposed=FrozenMapping({k: _array(v) for k, v in (document.get("proposed") or {}).items()}),
+        planes=tuple(document.get("planes") or ()),
+        covariance_of=tuple(unknowns) if names is None else tuple(names),
+        covariance=None if covariance is None else _square(covariance, len(unknowns if names is None else names)),
+        tip=TipErrors(*(_number(tip.get(f"{key}_rms_mm")) for key in TIP_ERRORS)),
+        noise=_noise(document.get("noise") or {}),
+        effects=_effects(document.get("discrepancy") or {}),
+        data=_data(document.get("data") or {}),
+        cost=_number(document.get("cost")),
+    )
+
+
+def _noise(part: Mapping[str, Any]) -> NoiseFound:
+    faces = {}
+    for name, face in (part.get("by_face") or {}).items():
+        stated, used = float(face["stated_mm"]), float(face["used_mm"])
+        faces[name] = FaceNoise(stated, used, float(face.get("without_joints_mm", used)))  # lacking in older files
+    ratio, low, high = (_number(part.get(key)) for key in ("ratio", "low", "high"))
+    return NoiseFound(ratio, low, high, float(part.get("joints_rad") or 0.0), FrozenMapping(faces))
+
+
+def _effects(part: Mapping[str, Any]) -> EffectsFound:
+    names, covariance = tuple(part.get("covariance_of", ())), part.get("covariance")
+    usual, mean, spread = (
+        FrozenMapping({name: float(value) for name, value in part.get(key, {}).items()})
+        for key in ("usual", "mean", "spread")
+    )
+    return EffectsFound(
+        effects=tuple(
+            EffectFound(each["key"], each["words"], float(each["times"])) for each in part.get("effects", ())
+        ),
+        corrected=tuple(part.get("corrected", ())),
+        values=FrozenMapping(_values(part.get("unknowns"))),
+        of=FrozenMapping({row["name"]: row["effect"] for row in part.get("unknowns", ())}),
+        without_corrections=FrozenMapping(_values(part.get("without_corrections"))),
+        covariance_of=names,
+        covariance=None if covariance is None else _square(covariance, len(names)),
+        off=None if covariance is None else _array(part["off"]),
+        usual=usual,
+        mean=mean,
+        spread=spread,
+        ranges=FrozenMapping({k: (float(v["lowest"]), float(v["highest"])) for k, v in part.get("range", {}).items()}),
+        further=FrozenMapping({key: tuple(columns) for key, columns in part.get("further", {}).items()}),
+        uncorrected_mm=_number(part.get("expected_rms_mm_without_corrections")),
+    )
+
+
+def _data(part: Mapping[str, Any]) -> FittedData:
+    file = part.get("file")
+    several = {name: each["file"] for name, each in (part.get("instruments") or {}).items() if "file" in each}
+    name = file if isinstance(file, str) else None
+    return FittedData(name, str(part.get("sha256", "")), part.get("fitted_rows"), FrozenMapping(several))
+
+
+def _values(rows: Sequence[Mapping[str, Any]] | None) -> dict[str, float]:
+    return {row["name"]: float(row["value"]) for row in rows or ()}
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
+
+
+def _array(values: Any) -> Array:
+    return np.asarray(read_only(np.array(values, dtype=np.float64)))
+
+
+def _square(rows: Sequence[Sequence[float | None]], count: int) -> Array:
+    """A covariance as JSON holds it, null where one is infinite."""
+    numbers = np.array([[math.inf if value is None else value for value in row] for row in rows], dtype=np.float64)
+    return np.asarray(read_only(numbers.reshape(count, count)))

@@ -1,0 +1,51 @@
+"""The effects to expect of any arm, whatever measures it, and problems that have them as their terms."""
+
+from __future__ import annotations
+
+from casacal.effects.compliance import DOWN, GravitySag, LinkSag
+from casacal.effects.effect import Effect
+from casacal.effects.gears import Backlash, GearRipple, TransmissionError
+from casacal.effects.smooth import Drift, FaceForm, JointField, ThermalGrowth
+from casacal.model.problem import Problem
+
+
+def kit(*, down: tuple[float, float, float] = DOWN, links: bool = False) -> tuple[Effect, ...]:
+    """The standard effects; those that mean nothing to a robot or an instrument have no unknowns there.
+
+    down: direction of gravity in the base frame; of an arm that hangs or stands at a wall it is another. links: sag by
+    the weights of all links, of which nothing is known, in place of that by one weight at the flange.
+    """
+    return (
+        TransmissionError(order=1),
+        TransmissionError(order=2),
+        GearRipple(),
+        LinkSag(down=down) if links else GravitySag(down=down),
+        Backlash(),
+        FaceForm(),
+        JointField(),
+        Drift(),
+        ThermalGrowth(),
+    )
+
+
+def rich_kit(*, down: tuple[float, float, float] = DOWN) -> tuple[Effect, ...]:
+    """The same for rows that err together by more than each of them does alone: much more of what has no name."""
+    return tuple(JointField(reach=0.7, rank=120) if isinstance(each, JointField) else each for each in kit(down=down))
+
+
+STANDARD, BY_LINKS, RICH = kit(), kit(links=True), rich_kit()  # the same values each time: what is compiled knows them
+
+
+def with_kit(problem: Problem) -> Problem:
+    """A problem with its own terms, or with the effects that any arm is expected to have."""
+    return problem if problem.terms else problem.with_terms(*STANDARD)
+
+
+def with_link_kit(problem: Problem) -> Problem:
+    """The same geometry with those of any arm, which sags by the weights of its links."""
+    return problem.with_terms(*BY_LINKS)
+
+
+def with_rich_kit(problem: Problem) -> Problem:
+    """The same with `rich_kit`."""
+    return problem.with_terms(*RICH)

@@ -1,0 +1,249 @@
+"""Errors that are smooth: over a face, over time as by drift and warmth, and over like postures."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from casacal.data.samples import Samples
+from casacal.effects.effect import Effect, weighted
+from casacal.model.kinematics import Expression, Product
+from casacal.model.term import Here, Site, SurveyedRows
+from casacal.model.unknown import Parameter
+from casacal.values import Array
+
+
+class OverTime(Effect, ABC):
+    """An effect that wants to know when a row was measured."""
+
+    def columns(self, site: Site) -> tuple[str, ...]:
+        """When a row was measured, 0 to 1."""
+        del site
+        return ("when",)
+
+    def values(self, site: Site, rows: SurveyedRows) -> Mapping[str, Array]:
+        """By the number of its line."""
+        del site
+        return {"when": rows.survey.when(rows.samples)}
+
+
+WIDER = 1.5
+"""Times its half width over which a face's form is a series of sines: where it ends, the series need not vanish."""
+
+SMALLEST_WEIGHT = 0.05  # terms of a series below this part of the largest are left out
+
+ORDERS = 6
+
+WALK = (1.0, 0.45, 0.22, 0.15)
+"""Standard deviations of a slope and of the first waves of a random walk that goes as far."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaceForm(Effect):
+    """Faces that are not flat: a smooth height over each, without its plane.
+
+    A Gaussian process of squared exponential covariance as a series of sines (Solin and Sarkka, Statistics and
+    Computing 30, 2020, eqs (15)-(20)).
+
+    Args:
+        size: standard deviation of the height, mm.
+        reach: distance, in half widths of a face, over which heights are alike.
+
+    """
+
+    size: float = 4e-3
+    doubt: float = 10.0
+    reach: float = 1.0
+
+    moves = False
+    most = 1e3  # a plate may be anything
+    key = "form"
+    words = "flatness error of the faces"
+
+    @property
+    def _terms(self) -> list[tuple[int, int, float]]:
+        """Orders of each sine along and across, and its standard deviation for a height of one."""
+        every = [(i, j) for i in range(1, ORDERS + 1) for j in range(1, ORDERS + 1)]
+        waves = {(i, j): (math.pi * math.hypot(i, j) / (2 * WIDER)) for i, j in every}
+        root = {at: math.sqrt(2 * math.pi) * self.reach * math.exp(-((self.reach * w) ** 2) / 4)
+                for at, w in waves.items()}  # fmt: skip
+        largest = max(root.values())
+        return [(i, j, root[i, j] / WIDER) for i, j in every if root[i, j] > SMALLEST_WEIGHT * largest]
+
+    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
+        """Amplitudes for each face, mm."""
+        if (probe := site.instrument.probe) is None:
+            return {}
+        return {self.key: weighted(np.array([std for *_, std in self._terms]), self.size, "mm", probe.label)}
+
+    def columns(self, site: Site) -> tuple[str, ...]:
+        """Where on its face a row lies."""
+        del site
+        return ("along", "across")
+
+    def values(self, site: Site, rows: SurveyedRows) -> Mapping[str, Array]:
+        """By the nominal tips; the middle of a face that was not fitted."""
+        probe = site.instrument.probe
+        places = rows.survey.places(rows.samples, rows.tips, None if probe is None else probe.label)
+        return {"along": places[:, 0], "across": places[:, 1]}
+
+    def residual(self, here: Here) -> Expression:
+        """Less the height of the face."""
+        u = getattr(here.p, self.key)
+        sines = [
+            ca.sin(math.pi * i * (here.row.along + WIDER) / (2 * WIDER))
+            * ca.sin(math.pi * j * (here.row.across + WIDER) / (2 * WIDER))
+            for i, j, _ in self._terms
+        ]
+        return -ca.dot(u, ca.vertcat(*sines))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drift(OverTime):
+    """A zero that wanders over the order of the lines: a slope, and slow waves.
+
+    Args:
+        size: of the way from the first row to the last, mm.
+
+    """
+
+    size: float = 3e-3
+    doubt: float = 10.0
+
+    moves = False
+    most = 1e3
+    key = "drift"
+    words = "drift"
+
+    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
+        """Slope and three waves of each component, each about a third of the one before, as of a random walk; mm."""
+        return {self.key: weighted(np.tile(WALK, site.components), self.size, "mm")}
+
+    def residual(self, here: Here) -> Expression:
+        """Slope and waves, for each component."""
+        shapes = [here.row.when - 0.5, *(ca.cos(math.pi * k * here.row.when) for k in range(1, len(WALK)))]
+        return ca.mtimes(ca.reshape(getattr(here.p, self.key), len(WALK), -1).T, ca.vertcat(*shapes))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThermalGrowth(OverTime):
+    """An arm that grows as it warms up, over the order of the lines: evenly, and soon and then no more.
+
+    Args:
+        size: of the growth from the first row to the last, parts of one; steel and aluminium grow by 1.2e-5 and
+            2.4e-5 for each kelvin.
+
+    """
+
+    size: float = 2e-5
+    doubt: float = 2.5
+
+    moves = True
+    elsewhere = 0.5  # some time in a session
+    key = "growth"
+    words = "thermal growth"
+
+    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
+        """Even growth, and growth that ends soon."""
+        del site
+        return {self.key: weighted(np.ones(2), self.size, "1")}
+
+    def pose(self, here: Here) -> Expression:
+        """The flange, its place stretched."""
+        u, t = getattr(here.p, self.key), here.row.when
+        grown = 1 + u[0] * t + u[1] * (1 - ca.exp(-SOON * t))
+        matrix = here.pose.matrix if isinstance(here.pose, Product) else ca.SX(here.pose)
+        return ca.vertcat(ca.horzcat(matrix[:3, :3], matrix[:3, 3] * grown), matrix[3, :])
+
+
+SOON = 5.0  # time constants of early growth in one session
+
+
+JITTER = 1e-9  # added to a covariance of one, so that rows at one place can both be pivots
+MOST_UNKNOWNS = 150  # of all components of a residual together; the time that a fit takes grows with their cube
+ENOUGH = 1e-3  # variance of a row, of one, below which it tells nothing that others have not told
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointField(Effect):
+    """What is left: errors along the residual that are alike in like postures.
+
+    A Gaussian process of squared exponential covariance over the joint values, by what it has in common with its values
+    at a few rows: the first pivots of the Cholesky factor of the fitted rows' covariance (Harbrecht, Peters and
+    Schneider, Applied Numerical Mathematics 62, 2012).
+
+    Args:
+        size: standard deviation, mm.
+        reach: radians over which errors are alike; of a sliding joint, a quarter of its travel counts as one.
+        rank: how many rows stand for all.
+
+    """
+
+    size: float = 4e-3
+    doubt: float = 10.0
+    reach: float = 1.0
+    rank: int = 24
+
+    moves = False
+    most = 1e3  # what else errs has no physical size
+    key = "field"
+    words = "posture-dependent error"
+
+    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
+        """What each of these rows has of it beyond those before, component by component of the residual, mm."""
+        return {self.key: weighted(np.ones(self._pivots(site) * site.components), self.size, "mm")}
+
+    def columns(self, site: Site) -> tuple[str, ...]:
+        """How alike a row is to each of them."""
+        return tuple(f"{self.key}_like{k + 1}" for k in range(self._pivots(site)))
+
+    def values(self, site: Site, rows: SurveyedRows) -> Mapping[str, Array]:
+        """By their joint values and those of the fitted rows."""
+        rank = self._pivots(site)
+        pivots = _pivots(self._places(site, rows.survey.samples), rank)
+        like = np.zeros((len(rows.samples), rank))
+        root = np.linalg.cholesky(_alike(pivots, pivots) + JITTER * np.eye(len(pivots)))
+        here = self._places(site, rows.samples)
+        like[:, : len(pivots)] = solve_triangular(root, _alike(pivots, here), lower=True).T
+        return {name: like[:, k] for k, name in enumerate(self.columns(site))}
+
+    def residual(self, here: Here) -> Expression:
+        """The sum over these rows, for each component."""
+        like = ca.vertcat(*(getattr(here.row, name) for name in self.columns(here)))
+        return ca.mtimes(ca.reshape(getattr(here.p, self.key), -1, here.components).T, like)
+
+    def _pivots(self, site: Site) -> int:
+        """How many rows stand for all, where each component of the residual has its own."""
+        return min(self.rank, max(MOST_UNKNOWNS // site.components, 1))
+
+    def _places(self, site: Site, samples: Samples) -> Array:
+        """Joint values (N, n) in units of the reach."""
+        low, high = site.robot.limits
+        travel = np.where(np.isfinite(high - low), (high - low) / 4, 100.0)
+        return np.asarray(samples.joints / np.where(site.robot.revolute, 1.0, travel) / self.reach)
+
+
+def _alike(one: Array, other: Array) -> Array:
+    """Covariance (m, n) of a process of size one at places (m, k) and (n, k)."""
+    square = (one**2).sum(axis=1)[:, None] + (other**2).sum(axis=1) - 2 * one @ other.T
+    return np.asarray(np.exp(-np.maximum(square, 0.0) / 2))
+
+
+def _pivots(places: Array, rank: int) -> Array:
+    """Those places (r, k), r at most `rank`, at which the process tells most of what it is at all of them (N, k)."""
+    left, factors, chosen = np.ones(len(places)), np.zeros((len(places), rank)), []
+    for k in range(min(rank, len(places))):
+        pivot = int(np.argmax(left))
+        if left[pivot] < ENOUGH:
+            break
+        chosen.append(pivot)
+        column = _alike(places, places[pivot][None])[:, 0] - factors[:, :k] @ factors[pivot, :k]
+        factors[:, k] = column / np.sqrt(left[pivot])
+        left = np.maximum(left - factors[:, k] ** 2, 0.0)
+    return places[chosen]

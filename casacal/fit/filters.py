@@ -1,0 +1,260 @@
+"""Kalman filters for static parameters: square-root cubature (10)-(24), extended, and SCKF followed by LM (M7).
+
+Rows are taken one by one. References: arXiv:2208.02652, section III, with its errata; Arasaratnam and Haykin,
+Cubature Kalman Filters, IEEE Transactions on Automatic Control 54 (2009).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casacal.fit.least_squares import ExtendedPass, FilterPass, LeastSquares
+from casacal.fit.lm import MAX_STEPS, lm
+from casacal.fit.result import Result, Status, nothing_unknown
+from casacal.kernels.losses import Loss
+from casacal.linalg import downdated, tria
+from casacal.values import Array, Value
+
+
+@dataclass(frozen=True, eq=False)
+class Belief(Value):
+    """A Gaussian over the unknowns: mean (n,) and lower triangular square root of the covariance (n, n)."""
+
+    mean: Array
+    root: Array
+
+
+@dataclass(frozen=True)
+class Update:
+    """A filter's step: the new belief, the innovation z - z' and its standard deviation."""
+
+    belief: Belief
+    innovation: float
+    innovation_std: float
+
+
+def predict(belief: Belief, process_root: Array | None) -> Belief:
+    """Let constant parameters drift: S <- Tria([S, S_Q]), eq (14) of arXiv:2208.02652 with erratum E10 corrected.
+
+    `process_root` is S_Q (n, n), or None for no drift.
+    """
+    if process_root is None:
+        return belief
+    return Belief(belief.mean, tria(np.hstack([belief.root, process_root])))
+
+
+def cubature_update(belief: Belief, h: Callable[[Array], Array], measured: float, noise_std: float) -> Update:
+    """Take in one scalar measurement: eqs (15)-(24) of arXiv:2208.02652, with errata E9-E12 corrected.
+
+    Square-root form of Arasaratnam and Haykin 2009, section VII.
+
+    Args:
+        belief: over n unknowns, best in prior-scaled coordinates, so that the points stay where h is smooth.
+        h: predicted measurement (m,) at many states (m, n).
+        measured: z.
+        noise_std: standard deviation S_R of its error.
+
+    """
+    n = belief.mean.size
+    offsets = math.sqrt(n) * belief.root.T  # row i is sqrt(n) S e_i
+    points = np.vstack([belief.mean + offsets, belief.mean - offsets])  # E12: drawn from the predicted belief
+    predictions = h(points)  # E11: what the model predicts, not the state itself
+    mean = float(predictions.mean())
+    spread = (predictions - mean) / math.sqrt(2 * n)  # calZ
+    innovation_std = math.hypot(float(np.linalg.norm(spread)), noise_std)  # S_zz: Tria of one row is its length
+    # calX = [S, -S] / sqrt(2), so calX calZ' = S v
+    v = (spread[:n] - spread[n:]) / math.sqrt(2)
+    gain = belief.root @ v / innovation_std**2
+    innovation = measured - mean
+    root = downdated(belief.root, v / innovation_std)
+    if root is None:  # the measurement tells all there is, to rounding: the full triangularisation keeps S real
+        states = np.hstack([belief.root, -belief.root]) / math.sqrt(2)
+        root = tria(np.hstack([states - np.outer(gain, spread), noise_std * gain[:, None]]))
+    return Update(Belief(belief.mean + gain * innovation, root), innovation, innovation_std)
+
+
+def begun(problem: LeastSquares) -> Belief:
+    """The belief before any row, in units of `start_std` about x0."""
+    return Belief(np.zeros(problem.unknowns), problem.prior_root)
+
+
+def take_in(problem: LeastSquares, belief: Belief, first: int, process_root: Array | None = None) -> FilterPass:
+    """Take in the next rows from `first` on: as many as kernels do at once, or one.
+
+    belief: in units of `start_std` about x0. process_root: by how much unknowns drift before each row, or None.
+    """
+    fused = problem.filter_pass(first, belief.mean, belief.root) if process_root is None else None
+    if fused is not None and fused.stop > first:
+        return fused
+    update = cubature_update(
+        predict(belief, process_root),
+        lambda states: problem.row(first, problem.x0 + problem.start_std * states),
+        0.0,
+        1.0,
+    )
+    told = np.array([update.innovation]), np.array([update.innovation_std])
+    return FilterPass(first + 1, update.belief.mean, update.belief.root, update.belief.mean[None], *told)
+
+
+def sckf(
+    problem: LeastSquares,
+    *,
+    process_std: Array | None = None,
+    progress: Callable[[int, float], None] | None = None,
+) -> Result:
+    """One pass of the filter over the rows, from the prior (flat: `start_std`) to the posterior of f.
+
+    One pass only: a second one would count the data twice.
+
+    Args:
+        problem: its rows are measurements of zero with unit noise, in whitened units.
+        process_std: standard deviation (n,) by which each unknown drifts between rows; default none.
+        progress: called with (rows done, norm of the innovation) now and then.
+
+    Returns the mean after the last row; the trace holds means `x` (rows + 1, n), innovations and their stds (rows,).
+
+    """
+    if not problem.unknowns:
+        return nothing_unknown(problem, "sckf")
+    scale = problem.start_std
+    process = None if process_std is None else np.diag(process_std / scale)
+    belief = begun(problem)
+    trace: tuple[list[Array], ...] = ([problem.x0[None]], [np.zeros(0)], [np.zeros(0)])
+    k = 0
+    while k < problem.rows:
+        taken = take_in(problem, belief, k, process)
+        belief, k = Belief(taken.mean, taken.root), taken.stop
+        done = (problem.x0 + scale * taken.means, taken.innovations, taken.stds)
+        for kept, some in zip(trace, done, strict=True):
+            kept.append(some)
+        if progress is not None:
+            progress(k, abs(float(trace[1][-1][-1])))
+    root = scale[:, None] * belief.root
+    states, innovation, innovation_std = (np.concatenate(kept) for kept in trace)
+    finite = bool(np.isfinite(belief.mean).all() and np.isfinite(root).all())
+    return Result(
+        method="sckf",
+        problem=problem,
+        x=problem.x0 + scale * belief.mean,
+        belief=root @ root.T,
+        status=Status.ONE_PASS if finite else Status.NOT_FINITE,
+        trace={"innovation": innovation, "innovation_std": innovation_std, "x": states},
+        steps=problem.rows,
+        residual_rows=2 * problem.unknowns * problem.rows,
+        jacobian_rows=0,
+    )
+
+
+def linear_update(
+    mean: Array, covariance: Array, gradient: Array, innovation: float, noise_std: float
+) -> tuple[Array, Array, float]:
+    """Take in one scalar measurement linearised at the mean; returns mean, covariance and innovation std.
+
+    Joseph's form, which keeps the covariance symmetric and positive.
+
+    Args:
+        mean, covariance: belief (n,), (n, n).
+        gradient: of the predicted measurement at the mean (n,).
+        innovation: measured minus predicted.
+        noise_std: standard deviation of the measurement's error.
+
+    """
+    cross = covariance @ gradient
+    variance = float(gradient @ cross) + noise_std**2
+    gain = cross / variance
+    half = covariance - np.outer(gain, cross)  # (I - K g') P, which as a matrix product loses a digit more
+    updated = half - np.outer(half @ gradient - noise_std**2 * gain, gain)
+    return mean + gain * innovation, (updated + updated.T) / 2, math.sqrt(variance)
+
+
+def ekf(problem: LeastSquares, *, progress: Callable[[int, float], None] | None = None) -> Result:
+    """One pass of the filter over the rows, from the prior (flat: `start_std`) to the posterior of f.
+
+    Args:
+        problem: its rows are measurements of zero with unit noise, in whitened units.
+        progress: called with (rows done, size of the innovation) now and then.
+
+    Returns the mean after the last row; the trace holds means `x` (rows + 1, n), innovations and their stds (rows,).
+
+    """
+    if not problem.unknowns:
+        return nothing_unknown(problem, "ekf")
+    scale = problem.start_std
+    mean, covariance = np.zeros(problem.unknowns), problem.prior_root @ problem.prior_root.T
+    done = problem.extended_pass(mean, covariance)
+    if done is None:
+        done = _row_by_row(problem, mean, covariance, progress)
+    elif progress is not None and problem.rows:
+        progress(problem.rows, abs(float(done.innovations[-1])))
+    finite = bool(np.isfinite(done.mean).all() and np.isfinite(done.covariance).all())
+    means = np.vstack([problem.x0, problem.x0 + scale * done.means])
+    return Result(
+        method="ekf",
+        problem=problem,
+        x=problem.x0 + scale * done.mean,
+        belief=scale[:, None] * done.covariance * scale,
+        status=Status.ONE_PASS if finite else Status.NOT_FINITE,
+        trace={"innovation": done.innovations, "innovation_std": done.stds, "x": means},
+        steps=problem.rows,
+        residual_rows=problem.rows,
+        jacobian_rows=problem.rows,
+    )
+
+
+def _row_by_row(
+    problem: LeastSquares, mean: Array, covariance: Array, progress: Callable[[int, float], None] | None
+) -> ExtendedPass:
+    """The pass where no fused kernel does it."""
+    scale, means = problem.start_std, np.empty((problem.rows, mean.size))
+    innovations, stds = np.empty(problem.rows), np.empty(problem.rows)
+    for k in range(problem.rows):
+        predicted, gradient = problem.row_jacobian(k, problem.x0 + scale * mean)
+        innovations[k] = -predicted
+        mean, covariance, stds[k] = linear_update(mean, covariance, scale * gradient, -predicted, 1.0)
+        means[k] = mean
+        if progress is not None:
+            progress(k + 1, abs(predicted))
+    return ExtendedPass(mean, covariance, means, innovations, stds)
+
+
+UNUSUAL = 5.0  # standard deviations above its mean at which a chi-square calls for an explanation
+
+
+def sckf_lm(
+    problem: LeastSquares,
+    *,
+    max_steps: int = MAX_STEPS,
+    tolerance: float = 1e-9,
+    loss: Loss | None = None,
+    progress: Callable[[int, float], None] | None = None,
+) -> Result:
+    """Minimise f from the filter's estimate; the prior stays where it was, so the data count once.
+
+    The minimum is that of `lm`: the filter gives another start, not more accuracy. Where that start leads to no
+    minimum, or to one that is too high for the stated noise and priors, the drawing is tried as well and the lower
+    minimum kept. With a loss the filter still takes every row at its full weight, `lm` not. Arguments as for `lm`.
+    """
+    if not problem.unknowns:
+        return nothing_unknown(problem, "sckf-lm")
+    part, places = problem.first_part() or (problem, np.arange(problem.unknowns))
+    filtered = sckf(part, progress=progress)
+    path = np.tile(problem.x0, (len(filtered.trace["x"]), 1))  # unknowns that the filter was spared stay at the nominal
+    path[:, places] = filtered.trace["x"]
+    start = path[-1] if filtered.converged else None
+    tried = [lm(problem, start=start, max_steps=max_steps, tolerance=tolerance, loss=loss, progress=progress)]
+    # at the true minimum 2 f is a chi-square with a degree for each row; above it a lower one may stand elsewhere
+    likely = problem.rows + UNUSUAL * math.sqrt(2 * problem.rows)
+    if start is not None and (not tried[0].converged or 2 * tried[0].cost > likely):
+        tried.append(lm(problem, max_steps=max_steps, tolerance=tolerance, loss=loss, progress=progress))
+    refined = min(tried, key=lambda found: (not found.converged, found.cost))
+    return replace(
+        refined,
+        method="sckf-lm",
+        trace={**refined.trace, "filter_x": path},
+        residual_rows=filtered.residual_rows + sum(found.residual_rows for found in tried),
+        jacobian_rows=filtered.jacobian_rows + sum(found.jacobian_rows for found in tried),
+    )

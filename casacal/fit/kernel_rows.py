@@ -1,0 +1,253 @@
+"""The rows of a block laid over their kernel: which columns, weights and unknowns each row takes."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+
+from casacal.fit.blocks import Block
+from casacal.fit.least_squares import LeastSquares
+from casacal.fit.slots import Slot
+from casacal.kernels.block_rows import Buffered, CurvatureKernel
+from casacal.kernels.losses import Loss
+from casacal.kernels.rows import Lanes, Piece
+from casacal.model.unknown import Parameter
+from casacal.threads import shared_out
+from casacal.values import Array, Index
+
+Places: TypeAlias = tuple[Index, Index]
+
+
+@dataclass(frozen=True)
+class RawBlock:
+    """Rows that see the same raw coordinates."""
+
+    kernel: CurvatureKernel
+    """Cost, gradient and Hessian of the rows' raw residual."""
+    columns: Index
+    """Positions of the kernel's v in the whole raw vector."""
+    constants: Array
+    """What else the rows share (nc,)."""
+    lanes: Lanes
+    """The rows as the kernel reads them."""
+    threads: int
+    """How many share the rows."""
+
+    def __call__(self, v: Array, loss: Loss | None = None) -> tuple[float, Array, Array]:
+        """Cost of the rows, its gradient (z,) and Hessian (z, z) by what they see of v (n,)."""
+        return self.kernel(v[self.columns], self.constants, self.lanes, loss=loss, threads=self.threads)
+
+
+class RawGraph:
+    """All rows in raw coordinates, with what makes these valid: attributes as of `casacal.fit.ipopt.RawForm`."""
+
+    def __init__(self, slots: Sequence[Slot], blocks: Sequence[Block], threads: int, problem: LeastSquares) -> None:
+        starts = np.cumsum([0] + [slot.unknown.raw_size for slot in slots])
+        first = {slot.name: int(start) for slot, start in zip(slots, starts, strict=False)}
+        found = []
+        for block in blocks:
+            for seen, constants, rows in zip(block.slots, block.constants, block.by_pattern, strict=True):
+                columns = [first[s.name] + j for s in seen for j in range(s.unknown.raw_size)]
+                kernel, there = block.model.curvature, np.array(columns, dtype=np.intp)
+                lanes = kernel.lanes(block.rows(rows), block.noise[rows])
+                found.append(RawBlock(kernel, there, constants, lanes, threads))
+        free = [slot for slot in slots if slot.unknown.size]
+        self.blocks, self.start = tuple(found), np.concatenate([s.unknown.raw_start(s.nominal) for s in free])
+        symbols = [ca.SX.sym(slot.name, slot.unknown.raw_size) for slot in slots]
+        pairs, v, none = list(zip(slots, symbols, strict=True)), ca.vertcat(*symbols), ca.SX(0, 1)
+        valid = ca.densify(ca.vertcat(*(g for s, symbol in pairs for g in s.unknown.raw_constraints(symbol)), none))
+        local = (s.unknown.raw_local(s.nominal, symbol) for s, symbol in pairs if s.unknown.size)
+        self.constraints = ca.Function("constraints", [v], [valid])
+        self.local = ca.Function("local", [v], [ca.densify(ca.vertcat(*local, none))])
+        self.prior, self.prior_places = _by_entries(_prior(slots, problem), 2)
+        multipliers = ca.SX.sym("lam", valid.numel())
+        hessian, _ = ca.hessian(ca.dot(multipliers, valid), v)
+        self.bend, self.bend_places = _by_entries(ca.Function("bend", [v, multipliers], [ca.triu(hessian)]), 0)
+
+
+def _by_entries(function: ca.Function, i: int) -> tuple[Buffered, Places]:
+    """A function, and the rows and columns of the entries of its output i."""
+    rows, columns = (np.array(index, dtype=np.intp) for index in function.sparsity_out(i).get_triplet())
+    return Buffered(function), (rows, columns)
+
+
+def _prior(slots: Sequence[Slot], problem: LeastSquares) -> ca.Function:
+    """v -> the prior's cost, gradient and upper Hessian: unknowns that are known together are one piece of it."""
+    pieces, whole, x0 = list[tuple[ca.SX, ...]](), problem.prior_information, problem.x0
+    alone = problem.known is None
+    for numbers, some in itertools.groupby(slots, lambda slot: alone and isinstance(slot.unknown, Parameter)):
+        for together in [list(some)] if numbers or not alone else [[slot] for slot in some]:
+            first = together[0].first
+            here = slice(first, first + sum(slot.unknown.size for slot in together))
+            pieces.append(_prior_of(together, whole[here, here], x0[here]))
+    v, cost, gradient, hessian = zip(*pieces, strict=True)
+    total = ca.densify(ca.sum1(ca.vertcat(*cost)))
+    return ca.Function("prior", [ca.vertcat(*v)], [total, ca.densify(ca.vertcat(*gradient)), ca.diagcat(*hessian)])
+
+
+def _prior_of(some: Sequence[Slot], information: Array, x0: Array) -> tuple[ca.SX, ...]:
+    """Symbols v of some unknowns; their part of the prior's cost, gradient and upper Hessian."""
+    v = ca.SX.sym("v", sum(slot.unknown.raw_size for slot in some))
+    if not information.any():  # as faces mostly are
+        return v, ca.SX(1, 1), ca.SX.zeros(v.numel()), ca.SX(v.numel(), v.numel())
+    starts = np.cumsum([0, *(slot.unknown.raw_size for slot in some)])
+    parts = [(slot, v[a:b]) for slot, a, b in zip(some, starts, starts[1:], strict=False) if slot.unknown.size]
+    away = ca.vertcat(*(slot.unknown.raw_local(slot.nominal, part) for slot, part in parts)) - ca.DM(x0)
+    pull = ca.mtimes(ca.sparsify(ca.DM(information)), away)
+    cost = ca.dot(away, pull) / 2
+    hessian, gradient = ca.hessian(cost, v)
+    return v, *ca.cse([cost, gradient, ca.triu(hessian)])
+
+
+FEW = 8_192  # rows below which all stay together: threads would spend more on one another than they save
+MOST_PIECES = 16
+LARGEST_PIECE = 16_384
+MANY_LANES = 50_000  # candidates times rows from which candidates are shared out
+PIECES = 1024  # pieces whose sums are held at a time
+STATES = 32  # candidates evaluated together, when there are many
+
+
+class KernelRows:
+    """Residuals, slopes and their sums over all rows.
+
+    How rows fall into pieces depends on their number alone, and pieces are summed in order: results are the same
+    whatever the number of threads.
+    """
+
+    def __init__(
+        self,
+        blocks: Sequence[Block],
+        unknowns: int,
+        backend: str | None,
+        threads: int,
+        packed: KernelRows | None = None,
+    ) -> None:
+        self.blocks, self._unknowns, self._asked, self._shared_by = tuple(blocks), unknowns, backend, threads
+        self._packed = packed
+        """The same rows with other noise, whose data are packed already."""
+        self._kernels = [block.model.rows(backend) for block in blocks]
+        self._threads = threads if sum(len(block.noise) for block in blocks) >= FEW else 1
+        self._starts = np.cumsum([0, *(block.noise.size for block in blocks)])
+
+    @property
+    def backend(self) -> str:
+        """Name of the back end in use."""
+        return self._kernels[0].name
+
+    def with_noise(self, blocks: Sequence[Block]) -> KernelRows:
+        """The same rows with other noise; their data are packed once for all."""
+        return KernelRows(blocks, self._unknowns, self._asked, self._shared_by, self._packed or self)
+
+    @cached_property
+    def noise(self) -> Array:
+        """Standard deviation of each residual (rows,)."""
+        each = [block.noise.ravel() for block in self.blocks]
+        return each[0] if len(each) == 1 else np.concatenate(each)
+
+    @cached_property
+    def pieces(self) -> tuple[Piece, ...]:
+        """Rows by instrument and pattern, packed for the kernels when first used."""
+        if self._packed is not None:
+            return tuple(
+                replace(piece, lanes=piece.kernels.reweighted(piece.lanes, 1.0 / self.noise[piece.numbers].T))
+                for piece in self._packed.pieces
+            )
+        found = []
+        for block, kernels, first in zip(self.blocks, self._kernels, self._starts, strict=False):
+            components = np.arange(block.noise.shape[1])
+            for columns, constants, seen in zip(block.columns, block.constants, block.by_pattern, strict=True):
+                for rows in _parts(seen):
+                    lanes = kernels.lanes(block.rows(rows), block.noise[rows])
+                    numbers = rows[:, None]  # of a million rows no copy is held that need not be
+                    if first or components.size > 1:
+                        numbers = first + numbers * components.size + components
+                    found.append(Piece(kernels, lanes, numbers, columns, constants))
+        return tuple(found)
+
+    @property
+    def places(self) -> Index:
+        """Piece, lane in it and component of each row (rows, 3)."""
+        found = np.empty((int(self._starts[-1]), 3), dtype=np.intp)
+        for k, piece in enumerate(self.pieces):
+            lanes, components = np.indices(piece.numbers.shape)
+            found[piece.numbers] = np.stack([np.full_like(lanes, k), lanes, components], axis=-1)
+        return found
+
+    def residual(self, x: Array) -> Array:
+        """Plain residuals (rows,)."""
+        e = np.empty(int(self._starts[-1]))
+
+        def fill(piece: Piece) -> None:
+            e[piece.numbers] = piece.kernels.residual(piece.parameters(x), piece.lanes).T
+
+        shared_out(fill, self.pieces, self._threads)
+        return e
+
+    def slopes(self, x: Array) -> Iterator[tuple[Piece, Array, Array]]:
+        """Piece by piece, plain residuals (n, m) and slopes (n, m, z)."""
+        for piece in self.pieces:
+            e, j = piece.kernels.slopes(piece.parameters(x), piece.lanes)
+            yield piece, e.T, j.transpose(2, 0, 1)
+
+    def triangle(self, x: Array) -> Array:
+        """R (k, n) with the J'J of the whitened Jacobian; few pieces are held at a time."""
+
+        def of_piece(piece: Piece) -> Array:
+            _, slopes = piece.kernels.slopes(piece.parameters(x), piece.lanes)
+            whitened = slopes / self.noise[piece.numbers].T[:, None]
+            own = np.linalg.qr(whitened.transpose(1, 0, 2).reshape(piece.columns.size, -1).T, mode="r")
+            whole = np.zeros((len(own), self._unknowns))
+            whole[:, piece.columns] = own
+            return whole
+
+        return np.asarray(np.linalg.qr(np.vstack(shared_out(of_piece, self.pieces, self._threads)), mode="r"))
+
+    def costs(self, states: Array, loss: Loss | None = None) -> Array:
+        """Half the whitened sum of squares, or the sum of a loss, at many x (m, n): (m,)."""
+
+        def of_piece(piece: Piece, some: Array) -> Array:
+            p, noise = np.ascontiguousarray(piece.parameters(some)), self.noise[piece.numbers].T
+            if loss is None:
+                return piece.kernels.costs(p, piece.lanes)
+            return np.array([loss.cost(piece.kernels.residual(each, piece.lanes) / noise).sum() for each in p])
+
+        def total(some: Array) -> Array:
+            found = [of_piece(piece, some) for piece in self.pieces]
+            return found[0] if len(found) == 1 else np.sum(found, axis=0)
+
+        if len(states) * sum(len(block.noise) for block in self.blocks) < MANY_LANES:
+            return total(states)
+        few = [states[k : k + STATES] for k in range(0, len(states), STATES)]
+        return np.concatenate(shared_out(total, few, self._shared_by))
+
+    def sums(self, x: Array, loss: Loss | None = None) -> Iterator[tuple[Piece, float, Array]]:
+        """Piece by piece, half the whitened sum of squares, and (J r)'(J r) (z + 1, z + 1); with a loss, weighted."""
+
+        def part(piece: Piece) -> tuple[float, Array]:
+            kernels, p, lanes = piece.kernels, piece.parameters(x), piece.lanes
+            if loss is None:
+                s = kernels.normal(p, lanes)
+                return float(s[-1, -1]) / 2, s
+            noise = self.noise[piece.numbers].T
+            r = kernels.residual(p, lanes) / noise
+            weighted = kernels.reweighted(lanes, np.sqrt(loss.weight(r)) / noise)  # a weight on r^2 is its root on r
+            return float(loss.cost(r).sum()), kernels.normal(p, weighted)
+
+        for k in range(0, len(self.pieces), PIECES):
+            some = self.pieces[k : k + PIECES]
+            for piece, (cost, s) in zip(some, shared_out(part, some, self._threads), strict=True):
+                yield piece, cost, s
+
+
+def _parts(rows: Index) -> list[Index]:
+    """Rows in pieces: one of few, else as many as threads may want, none too large to be packed at once."""
+    if len(rows) < FEW:
+        return [rows] if len(rows) else []
+    count = max(min(2 * len(rows) // FEW, MOST_PIECES), -(-len(rows) // LARGEST_PIECE))
+    return np.array_split(rows, count)

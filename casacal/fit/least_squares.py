@@ -1,0 +1,363 @@
+"""The seam between models and estimators: f(x) = |r(x)|^2 / 2 + a prior, as an estimator sees it. NumPy alone.
+
+`LeastSquares` is whitened residuals, their Jacobian, normal equations and rows one by one; `Gaussian` is a prior of
+unknowns that are known together; `Conditioned` is a problem in some of its unknowns, the others at known values.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from casacal.kernels.losses import Loss
+from casacal.linalg import damped_solution, freed_of, revealed_solution, whitening_of
+from casacal.values import Array, Index, Rows, Value
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussian(Value):
+    """Mean (n,) and covariance (n, n) of unknowns in their own units, mm and rad.
+
+    An infinite variance says that nothing is known of an unknown; its covariances are zero.
+    """
+
+    names: tuple[str, ...]
+    mean: Array
+    covariance: Array
+
+    def of(self, names: Collection[str]) -> Gaussian:
+        """What is known of some of the unknowns, whatever the others are; in its own order."""
+        kept = [j for j, name in enumerate(self.names) if name in names]
+        return Gaussian(tuple(self.names[j] for j in kept), self.mean[kept], self.covariance[np.ix_(kept, kept)])
+
+    def given(self, values: Mapping[str, float]) -> Gaussian:
+        """What is then known of the others, where some of the unknowns are held at these values."""
+        held = [j for j, name in enumerate(self.names) if name in values and np.isfinite(self.covariance[j, j])]
+        rest = [j for j, name in enumerate(self.names) if name not in values]
+        off = np.array([values[self.names[j]] for j in held]) - self.mean[held]
+        white = whitening_of(self.covariance[np.ix_(held, held)])
+        along = white @ self.covariance[np.ix_(held, rest)]
+        names, covariance = tuple(self.names[j] for j in rest), self.covariance[np.ix_(rest, rest)]
+        return Gaussian(names, self.mean[rest] + along.T @ (white @ off), covariance - along.T @ along)
+
+    def beside(self, other: Gaussian) -> Gaussian:
+        """Together with another of other unknowns that have nothing to do with these."""
+        mine, whole = len(self.names), np.zeros((len(self.names) + len(other.names),) * 2)
+        whole[:mine, :mine], whole[mine:, mine:] = self.covariance, other.covariance
+        return Gaussian((*self.names, *other.names), np.concatenate([self.mean, other.mean]), whole)
+
+    def placed(self, names: Sequence[str], mean: Array, std: Array) -> tuple[Array, Array]:
+        """Means and standard deviations (n,) of unknowns by name, with those of this in their places."""
+        mean, std = mean.copy(), std.copy()
+        for j, name in enumerate(names):
+            if name in self.names:
+                k = self.names.index(name)
+                mean[j], std[j] = self.mean[k], np.sqrt(self.covariance[k, k])
+        return mean, std
+
+
+def prior_rows(names: Sequence[str], prior_std: Array, known: Gaussian | None) -> Array:
+    """Whitened rows W (k, n) of a prior: W'W is its information, zero along what is flat.
+
+    Each unknown has its own standard deviation (n,; infinite: flat), or is one of those that are `known` together.
+    """
+    together = {} if known is None else {name: j for j, name in enumerate(known.names)}
+    firm = [j for j, name in enumerate(names) if np.isfinite(prior_std[j]) and name not in together]
+    rows = np.zeros((len(firm), len(names)))
+    rows[np.arange(len(firm)), firm] = 1.0 / prior_std[firm]
+    if known is None:
+        return rows
+    held = [j for j, name in enumerate(names) if name in together and np.isfinite(prior_std[j])]
+    index = [together[names[j]] for j in held]
+    dense = np.zeros((len(held), len(names)))
+    dense[:, held] = whitening_of(known.covariance[np.ix_(index, index)])
+    return np.vstack([rows, dense])
+
+
+@dataclass(frozen=True)
+class Normal:
+    """The data's part of the normal equations at one x: cost r'r/2, gradient J'r (n,), information J'J (n, n)."""
+
+    cost: float
+    gradient: Array
+    information: Array
+
+
+class DampedStep(NamedTuple):
+    """A damped Gauss-Newton step: the x (n,) it leads to, its squared length s'Hs, and the fall of cost it predicts."""
+
+    x: Array
+    squared_length: float
+    predicted: float
+
+    @property
+    def finite(self) -> bool:
+        """Whether it leads anywhere."""
+        return math.isfinite(self.squared_length) and math.isfinite(self.predicted)
+
+
+@dataclass(frozen=True)
+class FilterPass:
+    """What a cubature filter did with rows up to `stop`: the belief after them, and its trace, one entry a row.
+
+    mean: (n,); root: (n, n), lower triangular; means: (rows done, n), all in units of `start_std` about x0.
+    """
+
+    stop: int
+    mean: Array
+    root: Array
+    means: Array
+    innovations: Array
+    stds: Array
+
+
+@dataclass(frozen=True)
+class ExtendedPass:
+    """What a fused extended filter did: the belief after all rows, and its trace.
+
+    mean: (n,); covariance: (n, n). means: (rows, n); innovations, stds: (rows,).
+    """
+
+    mean: Array
+    covariance: Array
+    means: Array
+    innovations: Array
+    stds: Array
+
+
+class LeastSquares(ABC):
+    """A least-squares problem with a Gaussian prior.
+
+    A concrete problem sets the attributes and gives `residual`, `jacobian`, `row` and `row_jacobian`; what follows
+    from these is here. `graph` is the symbolic form for the IPOPT reference, `symbolic` the rows as CasADi expressions
+    for one's own programs; both None where there are none.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    x0: Array
+    """Mean of the prior (n,), and where estimates start."""
+    prior_std: Array
+    """Standard deviation of each unknown (n,) whatever the others are; infinite where the prior is flat."""
+    start_std: Array
+    """The same (n,), or a good scale where the prior is flat."""
+    datum: Rows
+    """Unknowns that only say where the touched or watching thing stands (n,); the control M0 fits these alone."""
+    known: Gaussian | None = None
+    """Unknowns that are known together; `x0` and `prior_std` say the part of each alone."""
+    graph: Any = None
+    symbolic: Any = None
+
+    @property
+    @abstractmethod
+    def rows(self) -> int:
+        """Number of scalar residuals."""
+
+    @abstractmethod
+    def residual(self, x: Array) -> Array:
+        """Whitened residuals (rows,) at x (n,)."""
+
+    @abstractmethod
+    def jacobian(self, x: Array) -> Array:
+        """Whitened Jacobian (rows, n) at x (n,)."""
+
+    @abstractmethod
+    def row(self, k: int, states: Array) -> Array:
+        """Whitened residual k at many states (m, n): (m,)."""
+
+    @abstractmethod
+    def row_jacobian(self, k: int, x: Array) -> tuple[float, Array]:
+        """Whitened residual k and its gradient (n,) at x (n,)."""
+
+    def first_part(self) -> tuple[LeastSquares, Index] | None:
+        """The same rows in the unknowns that matter most, and where these stand; None where that is all of them.
+
+        A filter that is to give a start, no more, need not follow the others.
+        """
+        return None
+
+    def filter_pass(self, first: int, mean: Array, root: Array) -> FilterPass | None:
+        """Let a cubature filter take in rows from `first` on; None where it cannot. Beliefs: (x - x0) / start_std.
+
+        What a fused kernel does in place of `row` and the filter's own step, row by row. It may stop early.
+        """
+        del first, mean, root
+        return None
+
+    def extended_pass(self, mean: Array, covariance: Array) -> ExtendedPass | None:
+        """Let an extended filter take in all rows; None where it cannot. Beliefs: (x - x0) / start_std.
+
+        What a fused kernel does in place of `row_jacobian` and the filter's own step, row by row.
+        """
+        del mean, covariance
+        return None
+
+    def normal(self, x: Array, loss: Loss | None = None) -> Normal:
+        """Cost, gradient and information of the data at x (n,), without the prior.
+
+        With a loss the gradient is J'Wr and the information J'WJ, W its weights at r: Gauss-Newton on sum rho(r).
+        """
+        r, jacobian = self.residual(x), self.jacobian(x)
+        weighted = jacobian if loss is None else jacobian * loss.weight(r)[:, None]
+        cost = float(r @ r) / 2 if loss is None else float(loss.cost(r).sum())
+        return Normal(cost, weighted.T @ r, weighted.T @ jacobian)
+
+    def compact_jacobian(self, x: Array) -> Array:
+        """Rows (k, n) with the J'J of the whitened Jacobian, few enough to hold: what singular values need."""
+        return self.jacobian(x)
+
+    def information(self, x: Array) -> Array:
+        """J'J (n, n) of the data at x (n,)."""
+        return self.normal(x).information
+
+    def weighted_rows(self, x: Array, loss: Loss | None = None) -> Array:
+        """Rows (k, n) with the J'WJ at x (n,), W the weights of a loss: what singular values need."""
+        if loss is None:
+            return self.compact_jacobian(x)
+        return self.jacobian(x) * np.sqrt(loss.weight(self.residual(x)))[:, None]
+
+    def damped_step(self, x: Array, normal: Normal, damping: float) -> DampedStep | None:
+        """Solve (H + damping I) s = -g for the whole objective at x, in coordinates (x - x0) / start_std.
+
+        None when that matrix is not safely positive definite. `normal` is the data's part of H and g at x.
+        """
+        scale = self.start_std
+        information = scale[:, None] * (normal.information + self.prior_information) * scale
+        gradient = scale * (normal.gradient + self.prior_information @ (x - self.x0))
+        step = damped_solution(information, gradient, damping)
+        if step is None:
+            return None
+        return DampedStep(
+            x + scale * step, float(step @ (information @ step)), float(step @ (damping * step - gradient)) / 2
+        )
+
+    def revealing_step(self, x: Array, normal: Normal, damping: float, loss: Loss | None = None) -> DampedStep | None:
+        """The same step from singular values, where normal equations are not safe; None where not all is finite."""
+        scale = self.start_std
+        gradient = scale * (normal.gradient + self.prior_information @ (x - self.x0))
+        stacked = np.vstack([self.weighted_rows(x, loss), self.prior_rows]) * scale
+        found = revealed_solution(stacked, gradient, damping)
+        return None if found is None else DampedStep(x + scale * found[0], found[1], found[2])
+
+    def costs(self, states: Array, loss: Loss | None = None) -> Array:
+        """Objective at many states (m, n): (m,)."""
+        return np.array([self.cost(x, loss) for x in states])
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns."""
+        return len(self.names)
+
+    @cached_property
+    def prior_rows(self) -> Array:
+        """W (k, n): the prior as whitened rows."""
+        return prior_rows(self.names, self.prior_std, self.known)
+
+    @cached_property
+    def prior_information(self) -> Array:
+        """Lambda = W'W (n, n), zero along what is flat."""
+        return np.asarray(self.prior_rows.T @ self.prior_rows)
+
+    @property
+    def prior_covariance(self) -> Array:
+        """Covariance of the prior (n, n), with infinite variances where it is flat."""
+        found = np.diag(self.prior_std**2)
+        if self.known is not None:
+            places = {name: j for j, name in enumerate(self.names)}
+            index = [places[name] for name in self.known.names]
+            found[np.ix_(index, index)] = self.known.covariance
+        return found
+
+    @cached_property
+    def prior_root(self) -> Array:
+        """Lower triangular root (n, n) of the prior's covariance in units of `start_std`, with which filters begin."""
+        if self.known is None:
+            return np.eye(self.unknowns)
+        scaled = self.prior_covariance / np.outer(self.start_std, self.start_std)
+        return np.linalg.cholesky(np.where(np.isfinite(scaled), scaled, np.eye(self.unknowns)))
+
+    def prior_cost(self, x: Array) -> float:
+        """The prior's part of the objective at x (n,)."""
+        away = self.prior_rows @ (x - self.x0)
+        return float(away @ away) / 2
+
+    def cost(self, x: Array, loss: Loss | None = None) -> float:
+        """The objective f at x (n,), with a loss where one is given."""
+        r = self.residual(x)
+        return (float(r @ r) / 2 if loss is None else float(loss.cost(r).sum())) + self.prior_cost(x)
+
+
+class Conditioned(LeastSquares):
+    """A problem in the unknowns that `free` marks (n,), about a given x (n,).
+
+    The others are held there: what is known of them together with the free ones says where these are to be expected.
+    Those that `out` marks are not held but taken out: they move freely with the free ones, and information is what is
+    then left. Positions in x are not those of the whole.
+    """
+
+    def __init__(self, whole: LeastSquares, free: Rows, at: Array, *, out: Rows | None = None) -> None:
+        self.whole, self.free, self.held_at = whole, np.flatnonzero(free), at.copy()
+        self.out = np.zeros(0, dtype=np.intp) if out is None else np.flatnonzero(out)
+        self.names = tuple(whole.names[j] for j in self.free)
+        self.units = tuple(whole.units[j] for j in self.free)
+        self.x0, self.prior_std = whole.x0[self.free], whole.prior_std[self.free]
+        self.start_std, self.datum = whole.start_std[self.free], whole.datum[self.free]
+        self.known = whole.known
+        if whole.known is not None:
+            held = set(whole.names) - {*self.names, *(whole.names[j] for j in self.out)}
+            values = {name: float(at[j]) for j, name in enumerate(whole.names) if name in held}
+            self.known = whole.known.given(values).of(self.names)
+            self.x0, self.prior_std = self.known.placed(self.names, self.x0, self.prior_std)
+
+    def expand(self, x: Array) -> Array:
+        """All unknowns (..., n) of the whole problem at the free ones (..., m)."""
+        full = np.broadcast_to(self.held_at, (*x.shape[:-1], self.held_at.size)).copy()
+        full[..., self.free] = x
+        return full
+
+    @property
+    def rows(self) -> int:
+        """Rows of the whole problem."""
+        return self.whole.rows
+
+    def residual(self, x: Array) -> Array:
+        """Whitened residuals (rows,)."""
+        return self.whole.residual(self.expand(x))
+
+    def jacobian(self, x: Array) -> Array:
+        """Columns of the free unknowns (rows, m); where some are taken out, as many rows as their J'J needs."""
+        return self.compact_jacobian(x) if self.out.size else self.whole.jacobian(self.expand(x))[:, self.free]
+
+    def compact_jacobian(self, x: Array) -> Array:
+        """Rows (k, m) with the J'J that is left of the free unknowns."""
+        rows = self.whole.compact_jacobian(self.expand(x))
+        if not self.out.size:
+            return rows[:, self.free]
+        prior = self.whole.prior_rows
+        held = prior[np.any(prior[:, self.out] != 0, axis=1)]  # what holds the others besides the rows
+        own = np.linalg.lstsq(held[:, self.out], held[:, self.free], rcond=None)[0] if len(held) else 0.0
+        left = np.vstack([rows[:, self.free] - rows[:, self.out] @ own, np.zeros((len(held), self.free.size))])
+        return freed_of(left, np.vstack([rows[:, self.out], held[:, self.out]]))
+
+    def row(self, k: int, states: Array) -> Array:
+        """Whitened residual k at many states."""
+        return self.whole.row(k, self.expand(states))
+
+    def row_jacobian(self, k: int, x: Array) -> tuple[float, Array]:
+        """Whitened residual k and its gradient in the free unknowns."""
+        r, gradient = self.whole.row_jacobian(k, self.expand(x))
+        return r, gradient[self.free]
+
+    def normal(self, x: Array, loss: Loss | None = None) -> Normal:
+        """Normal equations of the free unknowns, with the others taken out of the information where they are."""
+        whole = self.whole.normal(self.expand(x), loss)
+        if self.out.size:
+            rows = self.compact_jacobian(x)
+            return Normal(whole.cost, whole.gradient[self.free], rows.T @ rows)
+        return Normal(whole.cost, whole.gradient[self.free], whole.information[np.ix_(self.free, self.free)])

@@ -1,0 +1,232 @@
+"""A bound problem as CasADi expressions: residuals of all rows and the objective, for one's own programs and solvers.
+
+    bound = bind(problem, samples)
+    opti = casadi.Opti()
+    x = opti.variable(bound.unknowns)
+    opti.minimize(bound.symbolic.objective(x))
+
+Trade-offs. Rows are not written out: a function of one row is mapped over pieces of at most 256, and an expression
+holds a call of each piece. So 10,000 rows take about as long to build as 100, and no evaluation holds more than the
+derivatives of a piece. With 33 unknowns, 10,000 rows take 7 ms for the residuals, 15 ms for the normal equations and 1
+to 2 seconds for the exact Hessian that IPOPT asks for, within 100 MB; 120 rows take 20 ms for that Hessian. The
+library's own `lm` and `ipopt` are several times faster on the plain objective: what is here is for what they do not do.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casacal.errors import ProblemError, came
+from casacal.fit.blocks import Block
+from casacal.fit.least_squares import LeastSquares
+from casacal.fit.slots import Slot
+from casacal.kernels.filter_passes import Cubature
+from casacal.model.kinematics import Expression
+from casacal.model.trace import RowModel
+from casacal.values import Array, Index
+
+PIECE = 256  # rows mapped together: what derivatives hold at a time
+
+
+@dataclass(frozen=True, eq=False)
+class RowKind:
+    """Rows of one instrument that see the same unknowns, such as the touches of one face."""
+
+    model: RowModel
+    instrument: int
+    """Whose rows they are, from 0."""
+    unknowns: tuple[str, ...]
+    """Names of what they see, in the order of the problem's symbols: "alpha", ..., "plane.floor"."""
+    columns: Index
+    """Where z stands in x (nz,)."""
+    constants: Array
+    """c (nc,)."""
+    samples: Index
+    """Which samples of the instrument they are (N,)."""
+    first: int
+    """Where the residuals of the instrument begin among all."""
+    data: Array
+    """d of each row (N, nd): rad, mm."""
+    noise: Array
+    """Standard deviation w of each residual (N, m)."""
+
+    @property
+    def residuals(self) -> Index:
+        """Where their residuals stand among all (N * m,)."""
+        m = self.model.components
+        return (self.first + self.samples[:, None] * m + np.arange(m)).ravel()
+
+
+class SymbolicProblem:
+    """The rows of a `BoundProblem` as CasADi expressions of x (n,), mm and rad; what `BoundProblem.symbolic` gives.
+
+    x may be SX, MX (such as `opti.variable(n)`), DM or an array, and the outcome is of the same kind. Methods raise
+    ProblemError for an x of another size.
+    """
+
+    def __init__(self, problem: LeastSquares, slots: Sequence[Slot], blocks: Sequence[Block]) -> None:
+        self.names, self.units = problem.names, problem.units
+        """Name and unit of each unknown."""
+        self.x0, self.prior_std, self.start_std = problem.x0, problem.prior_std, problem.start_std
+        """Mean and standard deviation of the prior (n,; infinite: flat), and a good scale of each unknown (n,)."""
+        self._prior_rows, self._slots, found, first = problem.prior_rows, tuple(slots), [], 0
+        for i, block in enumerate(blocks):
+            for k, some in enumerate(block.slots):
+                rows, seen = block.by_pattern[k], tuple(slot.name for slot in some)
+                constants, columns, noise = block.constants[k], block.columns[k], block.noise[rows]
+                found.append(RowKind(block.model, i, seen, columns, constants, rows, first, block.rows(rows), noise))
+            first += block.noise.size
+        self.kinds, self._rows = tuple(found), first
+        """The rows, kind by kind."""
+        self._pieces: dict[Any, ca.Function] = {}
+
+    def __repr__(self) -> str:
+        kinds = ", ".join(f"{len(kind.samples)} of instrument {kind.instrument + 1}" for kind in self.kinds)
+        return f"<SymbolicProblem: {len(self.names)} unknowns, {self._rows} residuals of {kinds}>"
+
+    def index(self, name: str) -> int:
+        """Position of an unknown in x by its name, such as "a3"; raises ProblemError where there is none."""
+        if name not in self.names:
+            raise ProblemError(f"There is no unknown '{name}'", f"There are: {', '.join(self.names)}")
+        return self.names.index(name)
+
+    def values(self, x: Any) -> dict[str, Expression]:
+        """What every unknown is at x, by name: a number, a vector of all its components, a 4x4 frame or a plane.
+
+        A plane has `normal`, `point` and `distance(point)`. Names are those of `RowKind.unknowns`.
+        """
+        x = self._checked(x)
+        return {s.name: s.unknown.at(ca.DM(s.nominal), x[s.first : s.first + s.unknown.size]) for s in self._slots}
+
+    def residual(self, x: Any) -> Expression:
+        """Whitened residuals (rows,) of all rows, in the order of `BoundProblem.residual`."""
+        return self.residual_function(self._checked(x))
+
+    def prior(self, x: Any) -> Expression:
+        """The prior's part of the objective: 1/2 |W (x - x0)|^2, W the whitened rows of the prior."""
+        return ca.sumsqr(ca.mtimes(ca.sparsify(ca.DM(self._prior_rows)), self._checked(x) - ca.DM(self.x0))) / 2
+
+    def objective(self, x: Any) -> Expression:
+        """The objective f that all estimators minimise: half the sum of squares of `residual`, plus `prior`."""
+        return self.cost_function(self._checked(x)) + self.prior(x)
+
+    @cached_property
+    def residual_function(self) -> ca.Function:
+        """x -> whitened residuals (rows)."""
+        x = self._x
+        order = np.argsort(np.concatenate([kind.residuals for kind in self.kinds]))
+        parts = [ca.vec(part) for kind in self.kinds for part in self._mapped(kind, x, self._residuals)]
+        return ca.Function("residual", [x], [ca.vertcat(*parts)[order.tolist()]], ["x"], ["residual"])
+
+    @cached_property
+    def cost_function(self) -> ca.Function:
+        """x -> half the sum of squares of the whitened residuals, without the prior."""
+        x = self._x
+        parts = [part for kind in self.kinds for part in self._mapped(kind, x, self._cost)]
+        return ca.Function("cost", [x], [sum(parts, ca.MX(0))], ["x"], ["cost"])
+
+    @cached_property
+    def normal(self) -> ca.Function:
+        """x -> cost, gradient J'r (n), information J'J (n x n) of the data alone, as `BoundProblem.normal`.
+
+        With the prior's, the information is the Hessian of Gauss-Newton: as the option `hess_lag` of `casadi.nlpsol`
+        it keeps solvers such as sqpmethod on course where the exact one is not positive (studies/own_nlp.py).
+        """
+        x, n = self._x, len(self.names)
+        cost, gradient, information = ca.MX(0), ca.MX(n, 1), ca.MX(n, n)
+        for kind in self.kinds:
+            z = len(kind.columns)
+            total = sum(self._mapped(kind, x, self._sums), ca.MX(z + 1, z + 1))
+            into = ca.DM(np.eye(n)[:, kind.columns])
+            cost += total[z, z] / 2
+            gradient += ca.mtimes(into, total[:z, z])
+            information += ca.mtimes(ca.mtimes(into, total[:z, :z]), into.T)
+        outputs = [cost, ca.densify(gradient), ca.densify(information)]
+        return ca.Function("normal", [x], outputs, ["x"], ["cost", "gradient", "information"])
+
+    @cached_property
+    def damped_step(self) -> ca.Function:
+        """(x, mu) -> the x that a damped Gauss-Newton step on the whole objective leads to, eqs (25)-(29) as corrected.
+
+        Damped in the prior's metric, as `LeastSquares.damped_step`.
+        """
+        x, mu, scale = self._x, ca.MX.sym("mu"), ca.DM(self.start_std)
+        _, gradient, squares = self.normal(x)
+        rows = ca.sparsify(ca.DM(self._prior_rows))
+        prior = ca.mtimes(rows.T, rows)
+        whole = squares + prior
+        matrix = ca.densify(ca.mtimes(scale, scale.T) * whole + mu * ca.DM.eye(len(self.names)))
+        slope = scale * (gradient + ca.mtimes(prior, x - ca.DM(self.x0)))
+        step = ca.solve(matrix, -slope, "ldl")
+        return ca.Function("damped_step", [x, mu], [x + scale * step], ["x", "mu"], ["x_next"])
+
+    def cubature_step(self, kind: RowKind) -> ca.Function:
+        """One step of the square-root cubature Kalman filter for a row of a kind, eqs (15)-(24) as corrected.
+
+        (mean (n), root (n x n), d (nd), w (m)) -> mean, root: a belief over (x - x0) / start_std, at first 0 and the
+        identity. The residuals of the row are taken in one by one. A row that leaves less than 1e-10 of a variance
+        gives what is not a number: there the NumPy filter triangularises in full. Raises ProblemError for what is no
+        kind of row.
+        """
+        if not isinstance(kind, RowKind):
+            raise ProblemError(f"Got {came(kind)} as the kind of row", "Give one of `kinds`")
+        n, model, kept = len(self.names), kind.model, Cubature(kind.model.residual, "blocks")
+        mean, root = ca.MX.sym("mean", n), ca.MX.sym("root", n, n)
+        d, w = ca.MX.sym("d", model.residual.numel_in(2)), ca.MX.sym("w", model.components)
+        seen, once = kind.columns.tolist(), ca.vertcat(ca.DM(kind.constants), d)
+        base, unit = ca.DM(self.x0[kind.columns]), ca.DM(self.start_std[kind.columns])
+        new_mean, new_root = mean, root
+        for component in range(model.components):
+            centre = ca.repmat(base + unit * new_mean[seen], 1, n)
+            spread = ca.repmat(math.sqrt(n) * unit, 1, n) * new_root[seen, :]
+            points = ca.horzcat(centre + spread, centre - spread).T
+            new_mean, new_root, _ = kept.step(n, component)(points, once, 1 / w[component], new_mean, new_root)
+        names, made = ["mean", "root", "d", "w"], ["mean_next", "root_next"]
+        return ca.Function("cubature_step", [mean, root, d, w], [new_mean, new_root], names, made)
+
+    @property
+    def _x(self) -> ca.MX:
+        return ca.MX.sym("x", len(self.names))
+
+    def _checked(self, x: Any) -> Any:
+        column = x if isinstance(x, (ca.SX, ca.MX, ca.DM)) else ca.DM(np.asarray(x, dtype=np.float64))
+        if column.shape != (len(self.names), 1):
+            raise ProblemError(f"x has the shape {column.shape}", f"It must be a column of {len(self.names)} unknowns")
+        return column
+
+    def _mapped(self, kind: RowKind, x: ca.MX, build: Any) -> list[ca.MX]:
+        """What `build` makes of each piece of the rows of a kind, at x; pieces of one size share a function."""
+        z, c = x[kind.columns.tolist()], ca.DM(kind.constants)
+        made: list[ca.MX] = []
+        for first in range(0, len(kind.samples), PIECE):
+            inputs: list[Any] = [z, c, *(ca.DM(each[first : first + PIECE].T) for each in (kind.data, kind.noise))]
+            key = (build, kind.instrument, inputs[2].shape[1])
+            if key not in self._pieces:
+                symbols = [ca.MX.sym(name, *each.shape) for name, each in zip("zcdw", inputs, strict=True)]
+                options = {"never_inline": True}  # a piece's derivatives are then made once, and not all held at once
+                self._pieces[key] = ca.Function("rows", symbols, [build(kind.model, *symbols)], options)
+            made += self._pieces[key].call(inputs)
+        return made
+
+    @staticmethod
+    def _residuals(model: RowModel, z: ca.MX, c: ca.MX, d: ca.MX, w: ca.MX) -> ca.MX:
+        """Whitened residuals (m x rows)."""
+        return model.residual.map("mapped", "serial", d.shape[1], [0, 1], [])(z, c, d) / w
+
+    @staticmethod
+    def _cost(model: RowModel, *row: ca.MX) -> ca.MX:
+        return ca.sumsqr(SymbolicProblem._residuals(model, *row)) / 2
+
+    @staticmethod
+    def _sums(model: RowModel, z: ca.MX, c: ca.MX, d: ca.MX, w: ca.MX) -> ca.MX:
+        """[J r]' [J r] of whitened rows (nz + 1 x nz + 1)."""
+        e, slopes = model.jacobian.map("mapped", "serial", d.shape[1], [0, 1], [])(z, c, d)
+        rows = ca.vertcat(slopes, ca.vec(e).T) / ca.repmat(ca.vec(w).T, z.numel() + 1, 1)
+        return ca.mtimes(rows, rows.T)  # plain, so that C code of it needs no BLAS

@@ -1,1 +1,0 @@
-"""The seam: what estimators see of a problem, and what they return. NumPy alone."""

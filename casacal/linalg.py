@@ -1,0 +1,189 @@
+"""Small dense linear algebra of estimation: triangularisation, damped step, covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import svd as by_driver
+from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
+
+from casacal.values import Array
+
+LEAST_LEFT = 1e-10  # fraction of a variance that must remain for a downdate to keep six digits; below it a QR is used
+
+LEAST_PIVOT = 1e-12
+"""Part of a diagonal element below which a pivot of Cholesky's is mostly rounding; kernels/c/normal_equations.c too."""
+
+WELL_CONDITIONED = 1e-12
+"""Reciprocal condition number above which a unit-diagonal information matrix is inverted as it is."""
+
+ROUNDING = 16 * float(np.finfo(float).eps)  # part of a unit diagonal that rounding leaves of what nothing holds
+
+
+def tria(wide: Array) -> Array:
+    """Lower triangular S (n, n) with S S' = A A' and a non-negative diagonal, from A (n, m), m >= n.
+
+    Eq (14) of arXiv:2208.02652 as it must be read (erratum E10): the transpose of the R of qr(A').
+    """
+    upper = np.linalg.qr(wide.T, mode="r")
+    signs = np.where(np.diagonal(upper) < 0, -1.0, 1.0)
+    return np.ascontiguousarray((signs[:, None] * upper).T)
+
+
+def downdated(root: Array, u: Array) -> Array | None:
+    """Lower triangular root of S (I - u u') S', without a QR: S L with L L' = I - u u'; None when |u| is nearly one.
+
+    With s_j = 1 - u_1^2 - ... - u_j^2: L_jj = sqrt(s_j / s_(j-1)), L_ij = -u_i u_j / sqrt(s_j s_(j-1)) for i > j. A
+    scalar measurement makes a square-root filter's belief, S (n, n), smaller in just this way.
+    """
+    left = 1.0 - np.cumsum(u**2)
+    if not left[-1] > LEAST_LEFT:
+        return None
+    before = np.concatenate([[1.0], left[:-1]])
+    weighted = root * u
+    beyond = np.cumsum(weighted[:, ::-1], axis=1)[:, ::-1] - weighted  # columns j: sum of S_i u_i over i > j
+    return np.asarray(np.tril(root * np.sqrt(left / before) - beyond * (u / np.sqrt(left * before))))
+
+
+def damped_solution(information: Array, gradient: Array, damping: Array | float) -> Array | None:
+    """Solve (H + diag(damping)) s = -g (n,) by Cholesky; None when that matrix is not safely positive definite.
+
+    Safely: no pivot falls below `LEAST_PIVOT` of its diagonal element. Damping is one number, or one per coordinate.
+    """
+    if not gradient.size:
+        return gradient.copy()
+    matrix = information.copy()
+    matrix.flat[:: len(matrix) + 1] += damping
+    diagonal = np.diagonal(matrix)
+    root, failed = dpotrf(matrix, lower=1)
+    if failed or not (np.diagonal(root) ** 2 > LEAST_PIVOT * diagonal).all() or not np.isfinite(root[-1, -1]):
+        return None
+    return np.asarray(-dpotrs(root, gradient, lower=1)[0])
+
+
+def svd(matrix: Array, *, full: bool = False) -> tuple[Array, Array, Array]:
+    """U (m, k), singular values (k,) and V' (k, n) of a matrix (m, n), k the smaller of m and n; `full`: U, V square.
+
+    LAPACK's divide and conquer gives up on a few finite matrices with columns of zeros; QR iteration does not.
+    Raises LinAlgError where the matrix is not finite.
+    """
+    try:
+        left, values, right = np.linalg.svd(matrix, full_matrices=full)
+    except np.linalg.LinAlgError:
+        if not np.isfinite(matrix).all():
+            raise
+        left, values, right = by_driver(matrix, full_matrices=full, lapack_driver="gesvd")
+    return left, values, right
+
+
+def right_directions(matrix: Array) -> tuple[Array, Array]:
+    """All n singular values of a matrix (m, n), zero where m is smaller, and right singular vectors (n, n; rows)."""
+    _, values, right = svd(matrix, full=len(matrix) < matrix.shape[1])
+    return np.pad(values, (0, len(right) - len(values))), right
+
+
+def revealed_solution(rows: Array, gradient: Array, damping: float) -> tuple[Array, float, float] | None:
+    """Solve (A'A + damping I) s = -g by singular values of A (m, n), apart from directions that it does not see.
+
+    Squaring A loses what lies below 1e-8 of its largest singular value. What lies below rounding itself is a gauge,
+    along which g is rounding too: the step has no part in it.
+
+    Returns s (n,), its squared length |A s|^2 and the fall -g's - |A s|^2 / 2; None where A or g is not finite.
+    """
+    if not (np.isfinite(rows).all() and np.isfinite(gradient).all()):
+        return None
+    _, values, directions = svd(rows)
+    held = values > len(values) * np.finfo(float).eps * values[0]
+    values, directions = values[held], directions[held]
+    slope = directions @ gradient
+    along = -slope / (values**2 + damping)
+    squared_length = float(np.sum((values * along) ** 2))
+    return along @ directions, squared_length, -float(slope @ along) - squared_length / 2
+
+
+def freed_of(rows: Array, others: Array) -> Array:
+    """R (k, s) with the A'A that is left of columns A (m, s) where the unknowns of other columns B (m, k) move freely.
+
+    By orthogonal projection, which loses no digit as a difference of matrices would. Directions of the others that no
+    row sees take nothing away.
+    """
+    left, values, _ = svd(others)
+    left = left[:, values > others.shape[1] * np.finfo(float).eps * values.max(initial=0.0)]
+    return np.asarray(np.linalg.qr(rows - left @ (left.T @ rows), mode="r"))
+
+
+def whitening_of(covariance: Array) -> Array:
+    """W (n, n) with W C W' = I. A direction in which rounding left no variance keeps what rounding may have taken."""
+    scale = np.sqrt(np.diagonal(covariance))
+    scaled = covariance / np.outer(scale, scale)
+    root, failed = dpotrf(scaled, lower=1)
+    if not failed:
+        return np.asarray(inverse_triangle(root) / scale)
+    values, vectors = np.linalg.eigh(scaled)
+    values = np.maximum(values, ROUNDING * len(values))
+    return np.asarray((vectors / np.sqrt(values)).T / scale)
+
+
+def unit_scale(diagonal: Array) -> Array:
+    """What scales a matrix with this diagonal (n,) to a unit one."""
+    return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
+
+
+def posterior_covariance(data_information: Array, prior: Array) -> Array:
+    """Covariance (J'J + Lambda)^-1 (n, n), with J'J of the data and Lambda of the prior, both (n, n).
+
+    Unknowns that neither data nor prior hold get an infinite variance.
+    """
+    if not len(prior):
+        return np.zeros((0, 0))
+    if not np.isfinite(data_information).all():
+        return np.diag(np.full(len(prior), np.inf))
+    information = data_information + prior
+    # unit diagonal: nearly the best conditioning that scaling alone can give (van der Sluis 1969)
+    scale = unit_scale(np.diagonal(information))
+    scaled = scale[:, None] * information * scale
+    root, failed = dpotrf(scaled, lower=1)
+    if not failed and dpocon(root, np.abs(scaled).sum(axis=0).max(), uplo="L")[0] > WELL_CONDITIONED:
+        half = inverse_triangle(root) * scale
+        return np.asarray(half.T @ half)
+    values, vectors = np.linalg.eigh(scaled)
+    held = values > len(values) * np.finfo(float).eps * max(float(values[-1]), 0.0)
+    inverse = (vectors[:, held] / values[held]) @ vectors[:, held].T
+    covariance = scale[:, None] * inverse * scale
+    lost = (vectors[:, ~held] ** 2).sum(axis=1) > 1e-8
+    covariance[lost, :] = 0.0
+    covariance[:, lost] = 0.0
+    covariance[lost, lost] = np.inf
+    return np.asarray(covariance)
+
+
+def determined(data_information: Array, prior_rows: Array) -> float:
+    """How many unknowns the data determined: the trace of J (J'J + W'W)^-1 J', to a few where priors are flat.
+
+    It is the rank of J'J + W'W less what the rows W (k, n) of the prior hold, each of them at most one.
+    """
+    information = data_information + prior_rows.T @ prior_rows
+    scale = unit_scale(np.diagonal(information))
+    values, vectors = np.linalg.eigh(scale[:, None] * information * scale)
+    held = values > ROUNDING * len(values)
+    seen = (prior_rows * scale) @ vectors[:, held]
+    return float(held.sum() - np.clip((seen**2 / values[held]).sum(axis=1), 0.0, 1.0).sum())
+
+
+def inverse_triangle(root: Array) -> Array:
+    """Inverse (n, n) of the lower triangle of a matrix, by forward substitution.
+
+    For the few unknowns of an arm this is faster than the libraries, whose threads wait for one another.
+    """
+    inverse = np.zeros(root.shape)
+    for i in range(len(root)):
+        inverse[i, :i] = -(root[i, :i] @ inverse[:i, :i]) / root[i, i]
+        inverse[i, i] = 1.0 / root[i, i]
+    return inverse
+
+
+def correlation(covariance: Array) -> Array:
+    """Correlation matrix (n, n) of a covariance; zero where a variance is infinite."""
+    variance = np.diagonal(covariance)
+    inverse = np.where(np.isfinite(variance) & (variance > 0), 1.0 / np.sqrt(np.where(variance > 0, variance, 1)), 0.0)
+    finite = np.where(np.isfinite(covariance), covariance, 0.0)
+    return np.asarray(inverse[:, None] * finite * inverse)

@@ -1,0 +1,147 @@
+"""Where the links of an arm are, and how they fall as its joints give: found from the flange pose alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from casacal.errors import ProblemError
+from casacal.model.joints import Conventions
+from casacal.model.kinematics import Expression, chain, screw, slide, transform_point
+from casacal.model.robot import Robot, random_joints
+from casacal.model.traced_pose import TracedPose
+from casacal.values import Array, Rows
+
+PROOFS = 4  # postures at which the screws must give the pose
+ALIKE = 1e-6  # how far (mm, or of one) they may be from it
+
+
+@dataclass(frozen=True, eq=False)
+class Links:
+    """The screws of an arm as drawn, at joint values of zero in its model, and one place on each link.
+
+    turns: which joints turn (n,). axes: directions (n, 3). points: on each axis (n, 3, mm). places: on each link, which
+    the joint before it carries (n, 3, mm). conventions: what the controller's joint values mean to the model.
+    """
+
+    turns: tuple[bool, ...]
+    axes: Array
+    points: Array
+    places: Array
+    conventions: Conventions | None = None
+
+    @staticmethod
+    def of(robot: Robot) -> Links:
+        """Links of an arm whose joints carry one another in order; raises ProblemError for others.
+
+        A link's place is on the axis of the joint after it, where that is nearest to the place before; the last one's
+        is the flange.
+        """
+        plain, conventions = robot.traced, getattr(robot.arm, "conventions", None)
+        if conventions is not None and robot.arm is not None:
+            plain = TracedPose.of(replace(robot.arm, conventions=None).pose, robot.parameters, len(robot.axes))
+        turns, q = tuple(bool(each) for each in robot.revolute), ca.SX.sym("q", len(robot.axes))
+        pose = ca.Function("pose", [q], [ca.SX(plain.at_drawn(q))])
+        both = ca.Function("both", [q], [pose(q), ca.jacobian(ca.vec(pose(q)), q)])
+        home, slopes = (np.array(each) for each in both(ca.DM.zeros(len(turns))))
+        axes, points, places = np.zeros((3, len(turns), 3))
+        for j, turning in enumerate(turns):
+            rate = slopes[:, j].reshape(4, 4, order="F") @ np.linalg.inv(home)  # velocities in the base frame
+            spin, moving = np.array([rate[2, 1], rate[0, 2], rate[1, 0]]), rate[:3, 3]
+            axes[j] = spin if turning else moving
+            points[j] = np.cross(spin, moving) if turning else 0.0
+        here = np.zeros(3)
+        for j in range(len(turns) - 1):  # along the chain of axes
+            if turns[j + 1]:
+                here = _foot(axes[j + 1], points[j + 1], here)
+            places[j] = here
+        places[-1] = home[:3, 3]
+        found = Links(turns, axes, points, places, conventions)
+        last = replace(found, places=np.tile(home[:3, 3], (len(turns), 1)))
+        flange = ca.Function("flange", [q], [ca.vertcat(*last.carried(q)[-1:])])
+        for joints in random_joints(robot, PROOFS, np.random.default_rng(0)):
+            there = joints if conventions is None else conventions.to_model(joints)
+            if np.abs(np.array(flange(there))[:, 0] - np.array(pose(there))[:3, 3]).max() > ALIKE:
+                fix = "Leave out LinkSag; GravitySag asks nothing of the order"
+                raise ProblemError(f"The joints of '{robot.name}' do not carry one another in order", fix)
+        return found
+
+    def carried(self, q: Expression) -> list[Expression]:
+        """The place of each link (3, mm) in the base frame, at joint values q of the model (n; rad, mm)."""
+        found, steps = [], list[Expression]()
+        for j, turns in enumerate(self.turns):
+            axis = ca.DM(self.axes[j])
+            steps.append(screw(axis, ca.DM(self.points[j]), q[j]) if turns else slide(axis, q[j]))
+            found.append(transform_point(chain(*steps), ca.DM(self.places[j])))
+        return found
+
+    def levers(self, down: Array) -> ca.Function:
+        """q of the controller (n; rad, mm) -> (n, n): by how much link j comes down as joint i of the model moves.
+
+        Rows are links, columns joints; in metres, or millimetres of a sliding joint over 1000.
+        """
+        q, m = ca.SX.sym("q", len(self.turns)), ca.SX.sym("m", len(self.turns))
+        depths = ca.vertcat(*(ca.dot(ca.DM(down), place) for place in self.carried(m))) / 1000
+        by_model = ca.Function("levers", [m], [ca.densify(ca.jacobian(depths, m))])
+        return ca.Function("levers", [q], [by_model(q if self.conventions is None else self.conventions.to_model(q))])
+
+    def to_controller(self, off: Expression) -> Expression:
+        """Small motions of the controller's joints (n,) that are these of the model's."""
+        return off if self.conventions is None else ca.mtimes(ca.DM(np.linalg.inv(self.conventions.matrix)), off)
+
+
+def nodes_of(robot: Robot, joints: Array) -> Array:
+    """Base, places on the links, and flange (N, n + 1, 3; mm) of an arm as drawn; ProblemError where it is no chain."""
+    found = _placed(Links.of(robot))(joints)
+    return np.concatenate([np.zeros((len(joints), 1, 3)), found], axis=1)
+
+
+def _placed(links: Links) -> Callable[[Array], Array]:
+    """Joint values of the controller (N, n; rad, mm) -> places on the links, the flange last (N, n, 3; mm)."""
+    q = ca.SX.sym("q", len(links.turns))
+    model = q if links.conventions is None else links.conventions.to_model(q)
+    places = ca.Function("places", [q], [ca.vec(ca.horzcat(*links.carried(model)))])
+    return lambda values: np.array(places.map(len(values))(values.T)).T.reshape(len(values), -1, 3)
+
+
+def is_chain(robot: Robot) -> bool:
+    """Whether its joints carry one another in order, so that its links are known."""
+    try:
+        return bool(Links.of(robot))
+    except ProblemError:
+        return False
+
+
+STILL = 1e-6  # mm; a place whose height changes by less stays where the arm was built
+
+
+def above_table(robot: Robot, table: float, radius: float = 0.0) -> Callable[[Array, Array], Rows]:
+    """Which postures (N, n; rad, mm), with their tips (N, 3; mm), hold the drawn arm above a table at a height (mm).
+
+    Joints and flange stay a radius (mm) above it, tips just above. What no joint raises or lowers, such as the base, is
+    not asked. Of an arm that is no chain only the tip is known.
+    """
+    try:
+        links = Links.of(robot)
+    except ProblemError:
+        return lambda _, tips: np.asarray(tips[:, 2] >= table - STILL)
+    hung = links.places.copy()
+    for j in reversed(range(len(hung) - 1)):  # so that upright axes in parallel are as high as what they carry
+        hung[j] = _foot(links.axes[j + 1], links.points[j + 1], hung[j + 1]) if links.turns[j + 1] else hung[j + 1]
+    placed = _placed(replace(links, places=hung))
+    trial = placed(random_joints(robot, 2 * PROOFS, np.random.default_rng(0)))
+    moving = np.ptp(trial[..., 2], axis=0) > STILL
+
+    def stands(joints: Array, tips: Array) -> Rows:
+        heights = placed(joints)[:, moving, 2]
+        return np.asarray((tips[:, 2] >= table - STILL) & (heights >= table + radius - STILL).all(axis=1))
+
+    return stands
+
+
+def _foot(axis: Array, point: Array, place: Array) -> Array:
+    """Where on an axis through a point (3) a place (3) is nearest."""
+    return np.asarray(point + axis * float(axis @ (place - point)))

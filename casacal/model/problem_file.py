@@ -1,0 +1,121 @@
+"""Problem files: a problem.py is run, and gives a problem and perhaps a cell."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from casacal.errors import CasacalError, ProblemError, came, said
+from casacal.model.problem import Problem
+from casacal.user_code import BESIDE, line_of, run_file
+from casacal.values import Value
+
+LARGEST_KEPT = 2_000_000  # bytes beyond which the text of a file is not kept with its hash
+
+
+@dataclass(frozen=True)
+class SourceFile:
+    """A file that an arm was made from: its path, the SHA-256 of its bytes, and its text where that is not too long."""
+
+    path: str
+    sha256: str
+    text: str = ""
+
+    @staticmethod
+    def read(path: str | Path) -> SourceFile:
+        """The file as it is now; lets pass OSError."""
+        data = Path(path).read_bytes()
+        text = "" if len(data) > LARGEST_KEPT else data.decode("utf-8", errors="replace")
+        return SourceFile(Path(path).as_posix(), hashlib.sha256(data).hexdigest(), text)
+
+
+class Surroundings:
+    """What a problem.py may define as `cell` beside its problem: what stands around the arm, for whoever asks."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ProblemFile(Value):
+    """A problem, and the problem.py it was read from; `cell` is a `Cell`, or None when the file defines none.
+
+    A problem that was made in Python has the path "" and the SHA-256 of what it computes. `files` are all that it was
+    made from: problem.py, modules beside it, the URDF or DH table that its arm was read from.
+    """
+
+    name: str
+    path: str
+    sha256: str
+    problem: Problem
+    cell: Any
+    files: tuple[SourceFile, ...] = ()
+
+    @staticmethod
+    def of(problem: Problem, name: str | None = None) -> ProblemFile:
+        """A `ProblemFile` for a problem made in memory; its name is the robot's unless given."""
+        return ProblemFile(name or problem.robot.name, "", problem.digest, problem, None, _files_of(problem, []))
+
+    def __repr__(self) -> str:
+        return f"<ProblemFile {self.name}{f' of {self.path}' if self.path else ''}: {self.problem!r}>"
+
+    @property
+    def samples(self) -> Path | None:
+        """The samples file beside it, of the first of several instruments; None for a problem made in memory."""
+        return self.samples_of(0)
+
+    def samples_of(self, instrument: int) -> Path | None:
+        """The samples file of one instrument beside it: samples.csv, or samples-dial.csv where there are several."""
+        if not self.path:
+            return None
+        several = len(self.problem.instruments) > 1
+        name = f"samples-{self.problem.names[instrument]}.csv" if several else "samples.csv"
+        return Path(self.path).parent / name
+
+
+def load_problem(path: str | Path) -> ProblemFile:
+    """Read a problem folder (with a problem.py) or a problem file, which defines `problem` and may define `cell`.
+
+    Raises ProblemError when there is none, when it raises, or when it defines something else.
+    """
+    if not isinstance(path, (str, Path)):
+        raise ProblemError(f"Got {came(path)} as the path of a problem", "Give a folder with a problem.py")
+    file = Path(path)
+    if file.is_dir():
+        file = file / "problem.py"
+    if not file.is_file():
+        near = sorted(p.parent.as_posix() for p in Path("problems").glob("*/problem.py"))
+        known = f"; known here: {', '.join(near)}" if near else ""
+        fix = f"Give a folder with a problem.py, or such a file{known}"
+        raise ProblemError(f"There is no problem at '{path}'", fix)
+    if file.suffix != ".py":
+        fix = "Give a folder with a problem.py, or such a file; casacal new makes one from a URDF or a DH table"
+        raise ProblemError(f"'{path}' is no problem file, which is a program in Python", fix)
+    source = SourceFile.read(file)
+    try:
+        values = vars(run_file(file))
+    except (Exception, SystemExit) as error:  # a user's file may raise anything
+        if isinstance(error, CasacalError):
+            raise ProblemError(f"{line_of(file, error)}: {error.what}", error.fix) from error
+        fix = "Mend the problem file"
+        if isinstance(error, NameError) and error.name in sys.modules["casacal"].__all__:
+            fix = f"Add from casacal import {error.name}"
+        raise ProblemError(f"{line_of(file, error)}: {said(error)}", fix) from error
+    problem, cell = values.get("problem"), values.get("cell")
+    if not isinstance(problem, Problem):
+        what = "" if problem is None else f" as a Problem, but {came(problem)}"
+        raise ProblemError(f"{file} does not define `problem`{what}", "Add problem = Problem(robot, DialOnPlane(...))")
+    if cell is not None and not isinstance(cell, Surroundings):
+        raise ProblemError(f"{file} defines `cell` as a {type(cell).__name__}", "Make it a Cell(...)")
+    name = file.parent.name if file.name == "problem.py" and file.parent.name else file.stem
+    name = "".join(letter if letter.isprintable() else "_" for letter in name)  # it stands in exports
+    files = (source, *_files_of(problem, values.get(BESIDE, ())))
+    return ProblemFile(name, file.as_posix(), source.sha256, problem, cell, files)
+
+
+def _files_of(problem: Problem, beside: Iterable[str]) -> tuple[SourceFile, ...]:
+    """Modules beside a problem file, and what its arm was read from, as they are now."""
+    read = getattr(problem.robot.arm, "path", "")
+    paths = dict.fromkeys(path for path in (*beside, read) if path.endswith(".py") or path == read)
+    return tuple(SourceFile.read(path) for path in paths if path and Path(path).is_file())

@@ -1,0 +1,292 @@
+"""Handouts of a plan: approaches from touch to touch, a controller's program, a sheet to write on.
+
+A program goes above each touch, down slowly, waits for the reading, and goes back, clear of the faces all along, in
+RAPID (ABB), KRL (KUKA) or URScript (Universal Robots); moves are of the joints, with the values of the plan. The sheet
+has twenty touches a page, each with a picture of the posture and what to expect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from markupsafe import Markup
+
+from casacal.data.samples import WRITTEN
+from casacal.deployment.programs import KRL, RAPID, URSCRIPT, Language, in_comments, printable
+from casacal.errors import CasacalError, ProblemError, refuse_unknown
+from casacal.fit.nominal import nominal_tips
+from casacal.model.links import above_table, nodes_of
+from casacal.model.problem import Problem
+from casacal.model.robot import inside_limits
+from casacal.pages.drawing import rendered, tag, together
+from casacal.planning.candidates import Clearance, cell_of, drawn_touch
+from casacal.planning.route import Route, joints_shown
+from casacal.simulation.cell import Cell, Disturbances
+from casacal.simulation.touches import TouchingArm
+from casacal.values import Array, FrozenMapping, Index, Rows, Value
+from casacal.wording import sentence
+
+RETREAT = 20.0  # how far the tip stands back before and after a touch, mm
+HIGHER = (1.0, 2.0, 4.0, 8.0)
+"""Times of that by which it is tried to stand back where the way between two touches is not clear."""
+
+MOST_PLACES = 40  # places through which a way is tried
+ON_THE_WAY = 60  # postures looked at between two touches
+FREE = 2.0  # how near the tip may come to a face between touches, mm
+ARRIVED = 0.05  # by how much a place above may be missed, mm
+
+Clear = Callable[[Array, Array], bool]  # whether the way from one posture (n,) to another keeps clear
+
+
+@dataclass(frozen=True, eq=False)
+class Approaches(Value):
+    """Joint values (N, n; rad, mm) above each touch, and whether the way from the touch before it is clear (N,).
+
+    retreat: how far above (N,), mm. via: joint values (N, n) through which the way leads, NaN where it is straight.
+    Of a touch from which the arm cannot draw back all are NaN, and it is not clear; the way leads past it.
+    """
+
+    above: Array
+    retreat: Array
+    via: Array
+    clear: Rows
+
+
+def approaches(
+    problem: Problem,
+    route: Route,
+    cell: Disturbances | None = None,
+    *,
+    retreat: float = RETREAT,
+    clearance: Clearance | None = None,
+) -> Approaches:
+    """Where to stand before and after each touch of a plan, the plunger drawn back along itself.
+
+    Where the straight way of the joints from one to the next would come near a face, both stand back further, up to
+    eight times as far; then it leads through a place high above another touch. What is not clear then is said.
+
+    Raises CasacalError for an instrument without a plunger, and where the arm can draw back from no touch.
+    """
+    probe = problem.instrument.probe
+    if probe is None:
+        what = f"{type(problem.instrument).__name__} has no plunger that could be drawn back"
+        raise CasacalError(what, "Use the plan's CSV")
+    still, samples = cell_of(problem, cell), route.samples
+    arm, readings, tips, axes = drawn_touch(problem, probe, samples)
+    every = [_above(arm, samples.joints, readings, tips, axes, retreat * times) for times in HIGHER]
+    back = np.isfinite(every[0]).all(axis=1)
+    if not back.any():
+        what = f"From no touch can the arm draw back by {retreat:g} mm inside its joint limits"
+        raise CasacalError(what, "Give a smaller --retreat")
+    levels = [level[back] for level in every]
+    chosen, clear = np.zeros(int(back.sum()), dtype=int), np.ones(int(back.sum()), dtype=bool)
+    if isinstance(still, Cell):
+        stands = above_table(problem.robot, still.table, (clearance and clearance.link_radius) or 0.0)
+        is_clear = partial(_is_clear, arm, still, clearance, stands)
+        for k in range(1, len(clear)):
+            clear[k] = _raised(is_clear, levels, chosen, k)
+    above = np.array([levels[level][k] for k, level in enumerate(chosen)])
+    via = np.full_like(above, np.nan)
+    if isinstance(still, Cell):
+        places = levels[-1][np.isfinite(levels[-1]).all(axis=1)]
+        for k in np.flatnonzero(~clear).tolist():
+            start, end = above[k - 1], above[k]
+            lengths = np.abs(places - start).max(axis=1) + np.abs(places - end).max(axis=1)
+            for place in places[np.argsort(lengths)[:MOST_PLACES]]:  # the shortest way first
+                if is_clear(start, place) and is_clear(place, end):
+                    via[k], clear[k] = place, True
+                    break
+    of_all = np.full((2, *every[0].shape), np.nan)
+    retreats, free = np.full(len(route), np.nan), np.zeros(len(route), dtype=np.bool_)
+    of_all[:, back], free[back] = (above, via), clear
+    retreats[back] = retreat * np.array(HIGHER)[chosen]
+    return Approaches(of_all[0], retreats, of_all[1], free)
+
+
+def _raised(clear: Clear, levels: list[Array], chosen: Index, k: int) -> bool:
+    """Raise both ends of the way to touch k until it is clear; whether it is."""
+    for level in range(len(levels)):
+        ends = [max(int(chosen[k - 1]), level), max(int(chosen[k]), level)]
+        start, end = levels[ends[0]][k - 1], levels[ends[1]][k]
+        if not (np.isfinite(start).all() and np.isfinite(end).all()):
+            return False
+        if clear(start, end):
+            chosen[k - 1], chosen[k] = ends
+            return True
+    return False
+
+
+def _is_clear(
+    arm: TouchingArm,
+    cell: Cell,
+    clearance: Clearance | None,
+    stands: Callable[[Array, Array], Rows],
+    start: Array,
+    end: Array,
+) -> bool:
+    """Whether the straight way of the joints between two postures keeps off faces, table and all else that is said."""
+    part = np.linspace(0, 1, ON_THE_WAY)[:, None]
+    joints = start * (1 - part) + end * part
+    tips, _ = arm.place(arm.local, joints, np.zeros((len(joints), 1)))
+    for face in cell.faces:
+        local = (tips - face.centre) @ face.axes.T
+        over = (np.abs(local[:, 1:]) <= np.asarray(face.size) / 2 + FREE).all(axis=1)
+        height = local[over, 0]
+        if (height < FREE).any() and not (height < -FREE).all():  # wholly behind it, it is another side's matter
+            return False
+    free = clearance is None or bool(clearance.clear(arm.robot, None, joints, tips).all())
+    return free and bool(stands(joints, tips).all())
+
+
+def _above(arm: TouchingArm, joints: Array, readings: Array, tips: Array, axes: Array, retreat: float) -> Array:
+    """Joint values (N, n) with the tip drawn back along the plunger; NaN where limits or reach forbid it."""
+    targets = tips - retreat * axes
+    found = arm.reach(targets, axes, readings, joints)
+    reached, _ = arm.place(arm.local, found, readings[:, None])
+    good = (np.linalg.norm(reached - targets, axis=1) < ARRIVED) & inside_limits(arm.robot, found)
+    return np.where(good[:, None], found, np.nan)
+
+
+@dataclass(frozen=True)
+class RobotProgram:
+    """A program in a controller's language: decimals of joint values, and lines around and of its moves and waits."""
+
+    language: Language
+    ending: str
+    decimals: int
+    head: tuple[str, str]
+    fast: str
+    slow: str
+    wait: str
+    end: str
+
+
+LONGEST_LABEL = 40  # letters of a label that fit on a pendant: RAPID holds 80 in a string
+PROGRAMS: Mapping[str, RobotProgram] = FrozenMapping(
+    {
+        "rapid": RobotProgram(
+            RAPID,
+            ".mod",
+            4,
+            ("MODULE casacal_plan\n", "  PROC touch_the_plan()\n"),
+            "    MoveAbsJ {}\\NoEOffs, v50, fine, tool0;\n",
+            "    MoveAbsJ {}\\NoEOffs, v5, fine, tool0;\n",
+            '    TPWrite "{}";\n    Stop;\n',
+            "  ENDPROC\nENDMODULE\n",
+        ),
+        "krl": RobotProgram(
+            KRL,
+            ".src",
+            4,
+            ("DEF casacal_plan()\n", "  BAS(#INITMOV, 0)\n"),
+            "  BAS(#VEL_PTP, 10)\n  PTP {}\n",
+            "  BAS(#VEL_PTP, 1)\n  PTP {}\n",
+            "  ; {}\n  HALT\n",
+            "END\n",
+        ),
+        "urscript": RobotProgram(
+            URSCRIPT,
+            ".script",
+            7,
+            ("def casacal_plan():\n", ""),
+            "  movej({}, a=0.4, v=0.2)\n",
+            "  movej({}, a=0.1, v=0.02)\n",
+            '  popup("{}", blocking=True)\n',
+            "end\n",
+        ),
+    }
+)
+"""By the name that people ask for."""
+
+
+def program_text(problem: Problem, route: Route, ways: Approaches, language: str, name: str) -> str:
+    """A plan as a program: comments, then for each touch a move above it, the touch, a wait, and back.
+
+    name: of the problem. The program stops before a touch without a clear way, and leaves out one from which the arm
+    cannot draw back. Raises CasacalError for a robot whose joints the language does not hold, UnknownNameError.
+    """
+    refuse_unknown("language of programs", [language], PROGRAMS)
+    form = PROGRAMS[language]
+    spoken, comment = form.language, form.language.comment
+    spoken.refuse_others(problem.robot, "move", "Use the plan's CSV")
+    withdrawn = " and the dial withdrawn" if problem.instrument.words.approach else ""
+    notes = (
+        f"planned by casacal for {printable(name)}; joint values are those that the problem's robot.pose takes",
+        "paths were checked for the tip and the faces as drawn, and for what plan was told to avoid. Nothing else of "
+        f"the cell is known. Try the program slowly, with a hand on the stop{withdrawn}",
+        "at each stop take the reading with casacal measure, or write it down; then let the program go on",
+    )
+    comments = [f"  {comment} {line}\n" for note in notes for line in in_comments(note)]
+    # the arm may stand anywhere when the program begins
+    first = form.wait.format("jog the arm to near the first touch, then let the program go on")
+    parts = [form.head[0], *comments, form.head[1], first]
+    for k, purpose in enumerate(route.purposes):
+        where = printable(" ".join(label[k] for label in route.samples.labels.values())).replace('"', "'")
+        if np.isnan(ways.retreat[k]):
+            parts.append(f"  {comment} touch {k + 1} is left out: the arm cannot draw back from it\n")
+            continue
+        if not ways.clear[k]:
+            parts.append(form.wait.format(f"no clear way to touch {k + 1} was found: jog the arm above it, then go on"))
+        on_the_way = (place for place in (ways.via[k], ways.above[k]) if np.isfinite(place).all())
+        parts += [form.fast.format(spoken.written(place, form.decimals)) for place in on_the_way]
+        touch, above = (spoken.written(q, form.decimals) for q in (route.samples.joints[k], ways.above[k]))
+        said = form.wait.format(f"touch {k + 1} {where[:LONGEST_LABEL]} ({purpose})")
+        parts += [form.slow.format(touch), said, form.slow.format(above)]
+    return "".join([*parts, form.end])
+
+
+WIDE, HIGH = 64.0, 46.0  # size of a picture, in its own units
+
+
+def sheet_page(problem: Problem, route: Route, name: str, notes: Sequence[str] = ()) -> str:
+    """HTML of the sheet, in one file, of the problem called `name`; notes: sentences on the cell, above the touches."""
+    layout, samples, pictures = problem.layout(), route.samples, _pictures(problem, route)
+    joints = [f"q{i}{_unit(kind)}" for i, kind in enumerate(layout.joints, 1)]
+    expected = [f"{column}, expected{_unit(kind)}" for column, kind in layout.columns.items()]
+    read = [f"{column}{_unit(kind)}" for column, kind in layout.columns.items()] or ["touched"]
+    rows = []
+    for k, purpose in enumerate(route.purposes):
+        numbers = joints_shown(samples.joints[k], layout)
+        numbers += [f"{samples.columns[column][k] * WRITTEN[kind][1]:.2f}" for column, kind in layout.columns.items()]
+        words: list[str] = [] if pictures is None else [pictures[k]]
+        words += [samples.labels[label][k] for label in layout.labels]
+        number = f"{k + 1}{' again' if purpose == 'again' else ''}"
+        rows.append({"purpose": purpose, "number": number, "words": words, "numbers": numbers})
+    titles = ["", *([] if pictures is None else ["posture"]), *layout.labels, *joints, *expected, *read]
+    approach = problem.instrument.words.approach
+    said = {"robot": problem.robot.name, "name": name, "approach": sentence(approach) if approach else ""}
+    context = {**said, "notes": notes, "titles": titles, "rows": rows, "blanks": len(read)}
+    return rendered("sheet.html", context)
+
+
+def _unit(kind: str) -> str:
+    return WRITTEN[kind][0].replace("_", " ")
+
+
+def _pictures(problem: Problem, route: Route) -> list[Markup] | None:
+    """Each posture from the side and from above; None for an arm whose joints do not carry one another in order."""
+    try:
+        nodes = nodes_of(problem.robot, route.samples.joints)
+    except ProblemError:
+        return None
+    arms = np.concatenate([nodes, nominal_tips(problem, 0, route.samples)[:, None]], axis=1)
+    side, top = np.stack([np.hypot(arms[..., 0], arms[..., 1]), arms[..., 2]], axis=-1), arms[..., :2]
+    return [_picture([(side[k], side), (top[k], top)]) for k in range(len(arms))]
+
+
+def _picture(views: list[tuple[Array, Array]]) -> Markup:
+    """Views side by side, each of one arm in the frame of all."""
+    parts = []
+    for place, (arm, all_of_them) in enumerate(views):
+        low = all_of_them.min(axis=(0, 1))
+        unit = max(float(np.ptp(all_of_them, axis=(0, 1)).max()), 1e-9) / (HIGH - 6)
+        x = place * WIDE + 3 + (arm[:, 0] - low[0]) / unit
+        y = HIGH - 3 - (arm[:, 1] - low[1]) / unit
+        line = "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(x, y, strict=True))
+        parts.append(tag("path", at={"d": line, "fill": "none", "stroke": "#1d5f9e", "stroke-width": "2"}))
+        parts.append(tag("circle", at={"cx": f"{x[-1]:.1f}", "cy": f"{y[-1]:.1f}", "r": "2.4", "fill": "#c2560c"}))
+    box = f"0 0 {2 * WIDE:g} {HIGH:g}"
+    return tag("svg", together(*parts), at={"viewBox": box, "role": "img", "aria-label": "posture"})

@@ -1,1 +1,0 @@
-"""Samples: validated rows of joint values and readings."""

@@ -1,0 +1,294 @@
+"""Commands and touches as an operator types them at a session, and the session's answers in sentences."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from casacal.data.samples import WRITTEN, Layout
+from casacal.errors import CasacalError
+from casacal.model.problem import Problem
+from casacal.planning.route import joints_shown
+from casacal.shopfloor.gauges import Gauge
+from casacal.shopfloor.session import Session
+from casacal.shopfloor.touch import Touch, beyond_travel
+from casacal.values import Array
+from casacal.wording import counted, sentence
+
+UNDO, KEEP, CORRECT, SKIP, QUIT, HELP = "undo", "keep", "correct", "skip", "quit", "help"
+WORDS = {"u": UNDO, "k": KEEP, "c": CORRECT, "s": SKIP, "q": QUIT, "h": HELP, "?": HELP}
+"""Letters for words; the words themselves are understood as well."""
+
+COMMANDS = (
+    "u: undo the last touch, or the one in doubt (u 7: touch 7). k: keep it as it is. c: accept suggestion 1 (c 2: "
+    "suggestion 2). s: skip this touch. q: end; what was measured is already on disk."
+)
+
+NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
+
+
+class Typed(NamedTuple):
+    """A touch as it was typed: joints (n,; rad, mm), readings and labels by column."""
+
+    joints: Array
+    readings: dict[str, float]
+    labels: dict[str, str]
+
+
+def help_words(problem: Problem) -> str:
+    """Entries that a session of a problem with one instrument accepts, and what to see to before."""
+    layout, words = problem.layout(), problem.instrument.words
+    read, reading = in_units(layout), "reading" if len(layout.columns) == 1 else "readings"
+    said = ["Bring the arm to the posture.", *([sentence(words.approach)] if words.approach else [])]
+    said.append(
+        "If the controller shows the joint values as planned, "
+        f"{f'type the {reading} alone ({read})' if read else 'press Enter'}; otherwise type all joint values "
+        f"(degrees, mm){f' and the {reading}' if read else ''}."
+    )
+    if layout.labels:
+        said.append(f"Add the label if it was another {words.group}.")
+    return " ".join([*said, COMMANDS])
+
+
+def in_units(layout: Layout) -> str:
+    """Readings and the units in which they are typed: "reading in mm"; a number has no unit."""
+    units = {"angle": " in degrees", "length": " in mm", "number": ""}
+    return ", ".join(f"{name}{units[kind]}" for name, kind in layout.columns.items())
+
+
+def command_of(line: str) -> tuple[str, int | None] | None:
+    """The word of a command and the number after it, if any; None for a line that is no command."""
+    word, _, rest = (part.strip() for part in line.strip().partition(" "))
+    known = WORDS.get(word.lower(), word.lower())
+    if known not in WORDS.values():
+        return None
+    if rest and not rest.isdecimal():
+        raise CasacalError(f"'{rest}' after '{word}' is no number", "Give one, or nothing")
+    return known, int(rest) if rest else None
+
+
+def touch_of(line: str, layout: Layout, planned: Touch | None, gauge: Gauge) -> Typed:
+    """The touch that a line says: readings alone where joints are as planned, or joints and readings, then labels.
+
+    Angles are typed in degrees, lengths in mm; numbers are apart by blanks or semicolons, or by commas where they have
+    points. A single number is read as the gauge would write it. Raises CasacalError for lines that are neither.
+    """
+    gauge.refuse_error(line)
+    joints, readings = len(layout.joints), len(layout.columns)
+    if planned is not None and readings == 1 and gauge.reads(line):
+        return read_by(gauge, line, layout, planned)
+    # commas part cells where numbers have points, else they are decimal commas
+    apart = r"[\s;,]+" if re.search(r"\d\.\d", line) or not re.search(r"\d,\d", line) else r"[\s;]+|,\s+"
+    cells = [cell for cell in re.split(apart, line.strip()) if cell]
+    count = next((k for k, cell in enumerate(cells) if not NUMBER.fullmatch(cell)), len(cells))
+    as_planned = planned is not None and count == readings
+    if not as_planned and count != joints + readings:
+        wanted = counted(readings, "reading") if readings else ""
+        instead = f"{wanted}, or " if planned is not None and readings else ""
+        fix = f"Type {instead}{joints} joint values{f' and {wanted}' if wanted else ''}; h for help"
+        raise CasacalError(f"{counted(count, 'number')} came", fix)
+    labels = cells[count:]
+    if labels and len(labels) != len(layout.labels):
+        raise CasacalError(f"'{' '.join(labels)}' follows the numbers", "Type h for help")
+    if not labels and planned is None and layout.labels:
+        raise CasacalError(f"The touch has no {layout.labels[0]}", "Type it after the numbers")
+    named = dict(zip(layout.labels, labels, strict=True)) if labels else _labels(planned, layout)
+    read = _readings(cells[count - readings : count], layout)
+    if planned is not None and as_planned:
+        return Typed(planned.joints, read, named)
+    pairs = zip(cells[:joints], layout.joints, strict=True)
+    return Typed(np.array([_number(cell) / WRITTEN[kind][1] for cell, kind in pairs]), read, named)
+
+
+def read_by(gauge: Gauge, line: str, layout: Layout, planned: Touch | None) -> Typed:
+    """The planned touch with what a gauge's line reads; raises CasacalError for a line that is anything else."""
+    if planned is None:
+        raise CasacalError("No touch is waited for", "Type the joint values and the reading")
+    if len(layout.columns) == 1:
+        read = {name: gauge.reading(line, kind) for name, kind in layout.columns.items()}
+    else:
+        cells, asked = [cell for cell in re.split(r"[\s;,]+", gauge.refuse_error(line)) if cell], len(layout.columns)
+        if len(cells) != asked or not all(NUMBER.fullmatch(cell) for cell in cells):
+            raise CasacalError(f"The gauge sent {line.strip()!r}", f"A line of it is {counted(asked, 'number')}")
+        read = _readings(cells, layout)
+    return Typed(planned.joints, read, _labels(planned, layout))
+
+
+def _labels(planned: Touch | None, layout: Layout) -> dict[str, str]:
+    return {} if planned is None else {name: planned.labels[name] for name in layout.labels}
+
+
+def _readings(cells: Sequence[str], layout: Layout) -> dict[str, float]:
+    """Readings by column (mm, rad) from numbers as people type them."""
+    pairs = zip(layout.columns.items(), cells, strict=True)
+    return {name: _number(cell) / WRITTEN[kind][1] for (name, kind), cell in pairs}
+
+
+def _number(text: str) -> float:
+    return float(text.replace(",", "."))
+
+
+ALIKE = 1e-9  # mm or rad by which equal readings differ
+UNLIKELY = 0.01  # chance of touches kept to verify below which they do not agree with the others
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The session after a line, sentences, whether touches were added or changed, whether that was the end."""
+
+    session: Session
+    said: tuple[str, ...]
+    change: Literal["none", "added", "changed"] = "none"
+    ended: bool = False
+
+
+def answered(session: Session, proposed: Touch | None, line: str, gauge: Gauge, *, sent: bool = False) -> Answer:
+    """Answer a line, which can only be a reading where the gauge sent it; what cannot be done changes nothing."""
+    try:
+        command = None if sent else command_of(line)
+        if command is not None:
+            return _obeyed(session, proposed, *command)
+        if session.alarm is not None:
+            return Answer(session, ("Answer first, by u, c or k", *doubt(session)))
+        layout = session.problem.layout()
+        typed = read_by(gauge, line, layout, proposed) if sent else touch_of(line, layout, proposed, gauge)
+        if (beyond := beyond_travel(session.problem, typed.readings)) is not None:
+            fix = "Check sign, point and unit; if the dial does show this, declare its travel in the problem file"
+            raise CasacalError(beyond, fix)
+        after = session.take(*typed, number=None if proposed is None else proposed.number)
+    except CasacalError as error:
+        return Answer(session, (str(error),))
+    return Answer(after, (_told(after), *doubt(after)), "added")
+
+
+def _obeyed(session: Session, proposed: Touch | None, word: str, number: int | None) -> Answer:
+    if word == HELP:
+        return Answer(session, (help_words(session.problem),))
+    if word == QUIT:
+        return Answer(session, (), ended=True)
+    if word == SKIP:
+        if session.alarm is not None:
+            return Answer(session, tuple(doubt(session)))
+        if proposed is None or proposed.number is None:
+            raise CasacalError("The plan has no touch left to skip", "Type q to end")
+        return Answer(session.skip(proposed.number), (f"touch {proposed.number} is left out",))
+    if word == KEEP:
+        done, after = "kept", session.keep()
+    elif word == CORRECT:
+        suspects = session.alarm.suspects if number is not None and session.alarm is not None else ()
+        if suspects and not 1 <= (number or 0) <= len(suspects):
+            raise CasacalError(f"There is no explanation {number}", f"Give 1 to {len(suspects)}")
+        done, after = "put right", session.correct(suspects[(number or 0) - 1] if suspects else None)
+    else:
+        there = {session.shown(k): k for k in range(len(session))}
+        if number is not None and number not in there:
+            last = f"the last one is {session.shown(len(session) - 1)}" if there else "there is none yet"
+            raise CasacalError(f"No touch {number} has been made", f"Give the number of one that was; {last}")
+        done, after = "taken back", session.undo(None if number is None else there[number])
+    stands = (_told(after),) if len(after) and after.alarm is None else ()
+    return Answer(after, (done, *stands, *doubt(after)), "changed")
+
+
+def repeats_last(session: Session, line: str, gauge: Gauge) -> bool:
+    """Whether a line of the gauge is the reading of the last touch again, as where its button was pressed twice."""
+    columns = session.problem.layout().columns
+    if len(columns) != 1 or not len(session) or session.alarm is not None:
+        return False
+    ((name, kind),) = columns.items()
+    with suppress(CasacalError):
+        return abs(gauge.reading(line, kind) - session.touches[-1].columns[name]) < ALIKE
+    return False
+
+
+def waiting(session: Session, proposed: Touch | None, *, by_gauge: bool) -> str:
+    """What is waited for, for whoever comes back to the terminal."""
+    if session.alarm is not None:
+        return f"Waiting for an answer about touch {session.shown(session.alarm.touch)}: u, c or k"
+    read = in_units(session.problem.layout())
+    number = "one more touch" if proposed is None or proposed.number is None else f"touch {proposed.number}"
+    how = f"{read}, {'from the gauge or typed' if by_gauge else 'typed'}" if read else "Enter when the tip touches"
+    return f"Waiting for {number}: {how}"
+
+
+def posture(touch: Touch, layout: Layout) -> str:
+    """Where to go: face, joint values, what to expect."""
+    where = ", ".join(touch.labels[name] for name in layout.labels)
+    number = "one more" if touch.number is None else f"touch {touch.number}"
+    expected = ", ".join(
+        f"{name} about {touch.columns[name] * WRITTEN[kind][1]:.2f}{WRITTEN[kind][0].replace('_', ' ')}"
+        for name, kind in layout.columns.items()
+    )
+    purpose = {"again": "once more", "check": "kept to verify"}.get(touch.purpose, "")
+    parts = (f"{number} {where}".strip(), purpose, f"joints {' '.join(joints_shown(touch.joints, layout))}", expected)
+    return "; ".join(part for part in parts if part)
+
+
+def _told(session: Session) -> str:
+    """Report of the last touch, and of where the session stands."""
+    state, last = session.state, session.touches[-1]
+    said = [f"touch {session.shown(len(session) - 1)} made, {len(session)} in all"]
+    if state.off is not None and state.std is not None:
+        off, std = float(np.linalg.norm(state.off)), float(np.linalg.norm(state.std))
+        sign = "-" if len(state.off) == 1 and state.off[0] < 0 else ""
+        said.append(f"{sign}{off:.3g} mm from what was expected (standard deviation {std:.3g} mm)")
+    elif len(session) - 1 in session.waiting:
+        said.append(f"face {', '.join(last.labels.values())} is not yet known well enough to judge it")
+    if session.tip_error is not None and session.tip_error_below is not None:
+        said.append(f"tip error {session.tip_error:.3g} mm expected, below {session.tip_error_below:.3g}")
+    if session.noise > 1:
+        said.append(f"touches scatter {session.noise:.2g} times the stated noise; figures allow for it")
+    return "; ".join(said)
+
+
+def doubt(session: Session) -> list[str]:
+    """Doubts about touches and their explanations, a sentence each."""
+    alarm = session.alarm
+    if alarm is None:
+        return []
+    size = abs(alarm.off) / alarm.std if alarm.std > 0 else math.inf
+    said = [
+        f"warning: touch {session.shown(alarm.raised_by)} is off by {alarm.off:.3g} mm, {size:.2g} times what was to "
+        "be expected. What would explain it, the likeliest first:"
+    ]
+    for k, each in enumerate(alarm.suspects, 1):
+        cause, chance = "no known cause explains it" if each.slip is None else each.slip.words, each.chance
+        part = "over 99 %" if chance > 0.99 else f"{100 * chance:.0f} %" if chance >= 0.01 else "below 1 %"
+        said.append(f"  {k}. touch {session.shown(each.touch)}: {cause} ({part})")
+    fixable = "c corrects it as in 1; " if alarm.suspects and alarm.suspects[0].slip is not None else ""
+    again = f"u takes touch {session.shown(alarm.touch)} back, so that it is made again"
+    return [*said, f"{again}; {fixable}k keeps it as it is"]
+
+
+def ended(session: Session) -> list[str]:
+    """Closing words of a session."""
+    said, below, met = [], session.tip_error_below, ""
+    if session.tolerance is not None:
+        met = f", {'within' if session.done else 'not within'} the tolerance of {session.tolerance:g} mm"
+    if below is not None:
+        said.append(
+            f"{counted(len(session), 'touch')}: tip error {session.tip_error:.3g} mm expected, below {below:.3g} "
+            f"mm{met}, apart from the position of the base, if the priors and the form of the arm's model are right. "
+            "casacal calibrate judges that"
+        )
+    if few := session.too_few:
+        have = f"{', '.join(few)} {'has' if len(few) == 1 else 'have'}"
+        said.append(f"warning: {have} too few touches; casacal calibrate asks for more there, or leaves them out")
+    if session.alarm is not None:
+        name = session.shown(session.alarm.touch)
+        said.append(f"warning: touch {name} is still in doubt; continue the session to settle it")
+    if (checked := session.checked()) is not None:
+        off, std = (float(np.sqrt((each**2).sum(axis=1).mean())) for each in checked)
+        count = counted(len(checked[0]), "touch")
+        said.append(f"{count} kept to verify: off by {off:.3g} mm RMS, {std:.3g} to be expected")
+        if session.checked_chance() < UNLIKELY:
+            said.append(
+                "warning: so far off they do not agree with the others; before anything relies on them, casacal check "
+                "looks for the cause in the samples"
+            )
+    return said

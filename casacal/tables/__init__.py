@@ -1,1 +1,0 @@
-"""Tables: delimited text, workbooks, arrays, a million rows."""

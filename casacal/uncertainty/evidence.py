@@ -1,0 +1,174 @@
+"""How large effects beside the geometry are, as the rows show them: restricted marginal likelihood."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
+from scipy.optimize import minimize
+
+from casacal.fit.least_squares import LeastSquares
+from casacal.values import Array, FrozenMapping
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """What rows say where everything is linear: J'J (n, n), J'y (n,) and y'y, whitened."""
+
+    information: Array
+    toward: Array
+    square: float
+
+    def __add__(self, other: NormalEquations) -> NormalEquations:
+        """Both together."""
+        return NormalEquations(
+            self.information + other.information, self.toward + other.toward, self.square + other.square
+        )
+
+    def with_noise(self, times: float) -> NormalEquations:
+        """The same of rows whose noise is some times as large."""
+        return NormalEquations(self.information / times**2, self.toward / times**2, self.square / times**2)
+
+    @staticmethod
+    def of(slopes: Array, heights: Array) -> NormalEquations:
+        """Of rows J (m, n) and y (m,)."""
+        return NormalEquations(slopes.T @ slopes, slopes.T @ heights, float(heights @ heights))
+
+
+def told(problem: LeastSquares, x: Array) -> NormalEquations:
+    """All rows of a problem at x (n,), about which y = J (x - x0) - r."""
+    normal, away = problem.normal(x), x - problem.x0
+    information = normal.information
+    square = 2 * (normal.cost - float(away @ normal.gradient)) + float(away @ information @ away)
+    return NormalEquations(information, information @ away - normal.gradient, square)
+
+
+def evidence(rows: NormalEquations, prior: Array) -> float:
+    """Logarithm of the marginal likelihood of rows under means x0 and a prior's information (n, n), up to a constant.
+
+    The constant depends on the rows alone. Unknowns without prior are projected out. -inf where rounding spoils it.
+    """
+    posterior = rows.information + prior
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(posterior), 1e-300))
+    root, failed = dpotrf(scale[:, None] * posterior * scale, lower=1)
+    if failed:
+        return -np.inf
+    at = scale * dpotrs(root, scale * rows.toward, lower=1)[0]
+    firm = np.diagonal(prior) > 0
+    beforehand = float(np.linalg.slogdet(prior[np.ix_(firm, firm)])[1])
+    determinant = 2 * float(np.log(np.diagonal(root)).sum() - np.log(scale).sum()) - beforehand
+    return -(rows.square - float(rows.toward @ at) + determinant) / 2
+
+
+MORE = 1.3  # noise as found over stated beyond which something errs that is larger than expected
+LARGE = 50.0  # times its size of an effect of no physical size, from which the search then starts once more
+HELD = (1.0, 1.0)  # of what has no size to be found, and stays as it was declared
+SMALLER = math.log(6.0)  # how much smaller than usual any effect may well be: some arms hardly have it
+NOISE_DOUBT = 3.0  # times by which noise may well exceed what was stated
+
+
+STOP = {"ftol": 1e-7}
+"""Change of -2 log L, relative, below which sizes are found: a thousandth of what would be any evidence."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Times by which effects are larger than was expected of them, by key, and noise over what was used."""
+
+    times: Mapping[str, float]
+    noise: float
+    evidence: float
+    """Logarithm of the marginal likelihood, hyper-priors included."""
+
+
+def effect_sizes(
+    problem: LeastSquares,
+    x: Array,
+    beside: Sequence[str],
+    known: Mapping[str, tuple[float, float]],
+    *,
+    stated: float = 1.0,
+    least: float | None = 1.0,
+    seen: NormalEquations | None = None,
+    start: Mapping[str, float] | None = None,
+    search: bool = True,
+) -> Sizes:
+    """Sizes of effects and of the noise at which the rows are likeliest.
+
+    Args:
+        problem: with unknowns of effects, at the sizes that are expected of them.
+        x: where it is fitted (n,).
+        beside: for each of its unknowns (n,) the effect that it belongs to, empty for those of the geometry.
+        known: for each effect the times by which its size may well be larger (one holds it; smaller by the square of
+            them, up to six), and those that it never is.
+        stated: stated noise over that with which the problem weighs its rows. These weights are the most: what geometry
+            alone leaves in the rows is explained by effects in part, never made more.
+        least: part of the stated noise that there is at least; None leaves the noise as it is.
+        seen: what the rows say at x, where that is known.
+        start: times by which effects are about as large, where that is known: nothing else is then tried.
+        search: False stays at the start and only says how likely the rows are there.
+
+    """
+    keys = [key for key in dict.fromkeys(beside) if key]
+    groups = [np.flatnonzero(np.array(beside) == key) for key in keys]
+    sizes = [known.get(key, HELD) for key in keys]
+    spread = np.array([math.log(doubt) for doubt, _ in sizes] + [math.log(NOISE_DOUBT)])
+    most = np.array([math.log(times) for _, times in sizes])
+    bounds = [(-m, m) if s > 0 else (0.0, 0.0) for s, m in zip(spread[:-1], most, strict=True)]
+    bounds.append((math.log(stated * least), 0.0) if least else (0.0, 0.0))
+    expected = np.append(np.zeros(len(keys)), math.log(stated))
+    starts = [np.append([math.log((start or {}).get(key, 1.0)) for key in keys], 0.0)]
+    # the likelihood has several tops where something large errs
+    if start is None and stated * (least or 1.0) < 1 / MORE:
+        starts.append(np.append(np.where(most > math.log(LARGE), math.log(LARGE), 0.0), 0.0))
+    given = (seen or told(problem, x), problem.rows, np.diagonal(problem.prior_information), groups, expected, spread)
+    if search:
+        found = [minimize(_objective, at, given, "L-BFGS-B", jac=True, bounds=bounds, options=STOP) for at in starts]
+        cost, logs = min(((float(top.fun), top.x) for top in found), key=lambda top: top[0])
+    else:
+        cost, logs = _objective(starts[0], *given)[0], starts[0]
+    times = FrozenMapping({key: float(np.exp(t)) for key, t in zip(keys, logs[:-1], strict=True)})
+    return Sizes(times, float(np.exp(logs[-1])), -cost / 2)
+
+
+def _objective(
+    logs: Array,
+    seen: NormalEquations,
+    rows: int,
+    beforehand: Array,
+    groups: Sequence[NDArray[np.intp]],
+    expected: Array,
+    spread: Array,
+) -> tuple[float, Array]:
+    """-2 log of the marginal likelihood and of the hyper-priors, and its gradient, by logarithms of sizes and noise."""
+    variance, prior = math.exp(2 * logs[-1]), beforehand.copy()
+    for log, group in zip(logs[:-1], groups, strict=True):
+        prior[group] *= math.exp(-2 * log)
+    posterior = seen.information / variance
+    posterior.flat[:: len(prior) + 1] += prior
+    scale = 1.0 / np.sqrt(np.diagonal(posterior))
+    root, failed = dpotrf(scale[:, None] * posterior * scale, lower=1)
+    if failed:
+        return math.inf, np.zeros_like(logs)
+    spreads = np.diagonal(dpotri(root, lower=1)[0]) * scale**2
+    x = scale * dpotrs(root, scale * seen.toward / variance, lower=1)[0]
+    left = seen.square - 2 * float(seen.toward @ x) + float(x @ seen.information @ x)
+    held = prior > 0
+    determinant = 2 * float(np.log(np.diagonal(root)).sum() - np.log(scale).sum()) - float(np.log(prior[held]).sum())
+    value = rows * 2 * logs[-1] + determinant + left / variance + float((prior * x**2).sum())
+    moved = prior * (spreads + x**2)
+    gradient = [2 * (group.size - float(moved[group].sum())) for group in groups]
+    learnt = len(prior) - float((prior * spreads).sum())
+    gradient.append(2 * (rows - learnt - left / variance))
+    free = spread > 0
+    off = logs - expected
+    # no gear has six times the usual error and still turns, but many have a sixth of it; there is always some noise
+    smaller = np.append(np.maximum(spread[:-1], np.minimum(2 * spread[:-1], SMALLER)), spread[-1])
+    wide = np.where(free, np.where(off < 0, smaller, spread), 1.0)
+    hyper = np.where(free, off / wide, 0.0)
+    slope = hyper / wide
+    return value + float(hyper @ hyper), np.array(gradient) + 2 * slope
