@@ -45,7 +45,7 @@ RESULT_TOKENS = (
 
 def urdf_files(folder: Path) -> list[Path]:
     """URDFs of two arms."""
-    from test_result_file import URDF
+    from fuzz_seeds import URDF
 
     paths = [folder / "one.urdf", folder / "two.urdf"]
     paths[0].write_text(URDF)

@@ -136,3 +136,16 @@ def _without_styles(source: Path, target: Path) -> Path:
             new.writestr(name, content)
     target.write_bytes(whole.getvalue())
     return target
+
+
+URDF = """<robot name="arm">
+  <link name="base"/><link name="a"/><link name="b"/><link name="c"/><link name="flange"/>
+  <joint name="j1" type="revolute"><parent link="base"/><child link="a"/><origin xyz="0 0 0.3" rpy="0 0 0"/>
+    <axis xyz="0 0 1"/><limit lower="-2" upper="2"/></joint>
+  <joint name="j2" type="revolute"><parent link="a"/><child link="b"/><origin xyz="0.1 0 0" rpy="1.5 0 0"/>
+    <axis xyz="0 0 1"/><limit lower="-2" upper="2"/></joint>
+  <joint name="j3" type="revolute"><parent link="b"/><child link="c"/><origin xyz="0.4 0 0" rpy="0 0 0"/>
+    <axis xyz="0 0 1"/><limit lower="-2" upper="2"/></joint>
+  <joint name="mount" type="fixed"><parent link="c"/><child link="flange"/><origin xyz="0.3 0 0" rpy="0 0 0"/></joint>
+</robot>
+"""

@@ -18,5 +18,5 @@ def test_an_earlier_name_works_and_says_where_it_went(earlier, name, home):
     assert found is getattr(importlib.import_module(home), name)
     with pytest.raises(AttributeError):
         module.__no_such_thing__  # noqa: B018
-    with pytest.warns(DeprecationWarning), pytest.raises(AttributeError, match="no_such_thing"):
+    with pytest.warns(DeprecationWarning, match="is now"), pytest.raises(AttributeError, match="no_such_thing"):
         module.no_such_thing  # noqa: B018

@@ -5,7 +5,7 @@ import shutil
 import pandas as pd
 import pytest
 from conftest import ROOT
-from test_result_file import URDF
+from fuzz_seeds import URDF
 
 import casacal
 from casacal import ProblemError, Robot

@@ -21,7 +21,7 @@ from casacal.uncertainty.evidence import told
 from casacal.uncertainty.noise import joints_err
 from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parent.parent.parent
 TRUE = 20e-6
 
 

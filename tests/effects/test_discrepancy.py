@@ -21,7 +21,7 @@ from casacal.fit.seen import moving, seen
 from casacal.uncertainty.evidence import _objective, effect_sizes, told
 from casacal.uncertainty.tip_error import tip_rms, tip_stds, without_rigid, workspace_joints
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parent.parent.parent
 UR5 = ROOT / "problems" / "ur5"
 
 

@@ -34,7 +34,7 @@ from casacal.cli.main import main
 from casacal.uncertainty.figures import nees
 from casacal.uncertainty.tip_error import bayesian_bound, tip_rms, without_rigid, workspace_joints
 
-DATA = Path(os.environ.get("CASACAL_DATA", Path(__file__).parent.parent.parent / "shared" / "data"))
+DATA = Path(os.environ.get("CASACAL_DATA", Path(__file__).parent.parent.parent.parent / "shared" / "data"))
 BALL = (0.0, 0.0, 354.0)
 HELD = ("other_alpha", "other_a", "other_d", "other_theta")
 

@@ -13,7 +13,7 @@ from casacal.calibration.verdict import verdict_of
 from casacal.study.benchmark import STATED, folds, read_set
 from studies.bench import methods
 
-DATA = Path(os.environ.get("CASACAL_DATA", Path(__file__).parent.parent.parent / "shared" / "data"))
+DATA = Path(os.environ.get("CASACAL_DATA", Path(__file__).parent.parent.parent.parent / "shared" / "data"))
 
 
 def sockets_of(robot, **stds):
@@ -123,7 +123,7 @@ def test_a_factory_calibrated_arm_is_fitted_with_the_default_prior():
 
 def bench_set(name):
     """A set of the benchmark: its problem, and its rows."""
-    described = read_set(Path(__file__).parent.parent / "studies" / "bench" / name)
+    described = read_set(Path(__file__).parent.parent.parent / "studies" / "bench" / name)
     problem = described.problem
     if not (DATA / described.file).is_file():
         pytest.skip(f"the rows of {name} are not in {DATA}; set CASACAL_DATA to the folder that holds them")

@@ -16,6 +16,7 @@ import jsonschema
 import numpy as np
 import pytest
 from conftest import ROOT
+from fuzz_seeds import URDF
 from seals import resealed
 from test_export import PLAIN
 from test_own_instrument import written
@@ -29,17 +30,6 @@ from casacal.deployment.result_file import SCHEMA, misfits, read_result, schema_
 from casacal.kernels.program import graph_data, graph_from
 
 PROBLEMS = ("hsr_jr680", "ur5", "kuka_iiwa14", "adept_cobra600", "motoman_ma1400")
-URDF = """<robot name="arm">
-  <link name="base"/><link name="a"/><link name="b"/><link name="c"/><link name="flange"/>
-  <joint name="j1" type="revolute"><parent link="base"/><child link="a"/><origin xyz="0 0 0.3" rpy="0 0 0"/>
-    <axis xyz="0 0 1"/><limit lower="-2" upper="2"/></joint>
-  <joint name="j2" type="revolute"><parent link="a"/><child link="b"/><origin xyz="0.1 0 0" rpy="1.5 0 0"/>
-    <axis xyz="0 0 1"/><limit lower="-2" upper="2"/></joint>
-  <joint name="j3" type="revolute"><parent link="b"/><child link="c"/><origin xyz="0.4 0 0" rpy="0 0 0"/>
-    <axis xyz="0 0 1"/><limit lower="-2" upper="2"/></joint>
-  <joint name="mount" type="fixed"><parent link="c"/><child link="flange"/><origin xyz="0.3 0 0" rpy="0 0 0"/></joint>
-</robot>
-"""
 FROM_FILE = """from casacal import Problem, Robot, TrackedPoint, tool_point
 from pathlib import Path
 from sizes import NOISE
