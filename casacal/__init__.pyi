@@ -40,13 +40,13 @@ from casacal.fit.ipopt import ipopt as ipopt
 from casacal.fit.ipopt import nlpsol as nlpsol
 from casacal.fit.least_squares import Gaussian as Gaussian
 from casacal.fit.least_squares import LeastSquares as LeastSquares
+from casacal.fit.least_squares import Result as Result
+from casacal.fit.least_squares import Status as Status
+from casacal.fit.least_squares import nominal as nominal
 from casacal.fit.lm import lm as lm
 from casacal.fit.population import annealing as annealing
 from casacal.fit.population import evolution as evolution
 from casacal.fit.population import swarm as swarm
-from casacal.fit.result import Result as Result
-from casacal.fit.result import Status as Status
-from casacal.fit.result import nominal as nominal
 from casacal.fit.symbolic import SymbolicProblem as SymbolicProblem
 from casacal.kernels.losses import Loss as Loss
 from casacal.kernels.losses import huber as huber

@@ -28,8 +28,8 @@ from casacal.errors import CasacalError, ProblemError, SamplesError, came
 from casacal.fit.bound_problem import BoundProblem, bind
 from casacal.fit.controls import plane_only
 from casacal.fit.ipopt import check_solver, nlpsol
+from casacal.fit.least_squares import Result
 from casacal.fit.lm import lm
-from casacal.fit.result import Result
 from casacal.fit.seen import bind_further
 from casacal.kernels.losses import Loss
 from casacal.model.problem import Problem

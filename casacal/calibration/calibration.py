@@ -30,8 +30,8 @@ from casacal.effects.selection import (
 )
 from casacal.errors import CasacalError
 from casacal.fit.bound_problem import BoundProblem, bind, each_alone
+from casacal.fit.least_squares import Result
 from casacal.fit.lm import lm
-from casacal.fit.result import Result
 from casacal.fit.seen import ArmAlone, Seen, extended, seen
 from casacal.linalg import posterior_covariance
 from casacal.model.problem_file import ProblemFile

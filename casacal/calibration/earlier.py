@@ -21,7 +21,7 @@ from casacal.effects.effect import effects_of
 from casacal.effects.selection import in_sample_gains
 from casacal.errors import CasacalError, RefusedResultError
 from casacal.fit.bound_problem import BoundProblem
-from casacal.fit.result import Result
+from casacal.fit.least_squares import Result
 from casacal.model.problem import Problem
 from casacal.model.problem_file import ProblemFile
 from casacal.uncertainty.fresh_rows import chance

@@ -12,8 +12,8 @@ import numpy as np
 from casacal.data.samples import Measurements, Samples
 from casacal.errors import CasacalError
 from casacal.fit.bound_problem import BoundProblem, bind
+from casacal.fit.least_squares import Result
 from casacal.fit.lm import lm
-from casacal.fit.result import Result
 from casacal.kernels.losses import huber
 from casacal.model.problem import Problem
 from casacal.values import Array

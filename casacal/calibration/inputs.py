@@ -13,7 +13,7 @@ from casacal.data.read import is_frame
 from casacal.data.samples import Measurements, Samples
 from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.fit.bound_problem import BoundProblem
-from casacal.fit.result import Result, Status, as_result
+from casacal.fit.least_squares import Result, Status, as_result
 from casacal.kernels.losses import Loss
 from casacal.model.problem import Problem
 from casacal.model.problem_file import ProblemFile, load_problem

@@ -10,9 +10,8 @@ import numpy as np
 
 from casacal.effects.selection import MOST_ROWS, VERY_STRONG, at_most, gains, in_sample_gains
 from casacal.fit.bound_problem import BoundProblem
-from casacal.fit.least_squares import Conditioned
+from casacal.fit.least_squares import Conditioned, Result
 from casacal.fit.lm import lm
-from casacal.fit.result import Result
 from casacal.fit.seen import ArmAlone, Seen, moving
 from casacal.model.term import Site
 from casacal.uncertainty.tip_error import expected_accuracy, tip_stds, without_rigid, workspace_joints

@@ -13,8 +13,8 @@ from casacal.data.samples import Samples
 from casacal.effects.selection import with_effects
 from casacal.errors import CasacalError
 from casacal.fit.bound_problem import BoundProblem, bind, times
+from casacal.fit.least_squares import Result
 from casacal.fit.lm import lm
-from casacal.fit.result import Result
 from casacal.fit.seen import Seen
 from casacal.linalg import svd
 from casacal.model.problem import Problem

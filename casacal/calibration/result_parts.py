@@ -23,7 +23,7 @@ from casacal.deployment.result_file import SCHEMA
 from casacal.effects.effect import effects_of
 from casacal.errors import CasacalError
 from casacal.fit.bound_problem import REPEATABILITY, BoundProblem, without_joints
-from casacal.fit.result import Result
+from casacal.fit.least_squares import Result
 from casacal.fit.slots import Slot
 from casacal.model.problem_file import ProblemFile
 from casacal.model.term import Site

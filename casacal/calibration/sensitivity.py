@@ -14,7 +14,7 @@ import numpy as np
 
 from casacal.errors import CasacalError
 from casacal.fit.bound_problem import BoundProblem
-from casacal.fit.result import Result
+from casacal.fit.least_squares import Result
 from casacal.model.instrument import Instrument
 from casacal.model.trace import RowModel
 from casacal.values import Array, Value, read_only

@@ -13,9 +13,9 @@ from casacal.calibration.finding import Finding
 from casacal.data.samples import Samples
 from casacal.errors import CasacalError, SamplesError
 from casacal.fit.bound_problem import BoundProblem, bind, each_alone, times
+from casacal.fit.least_squares import Result
 from casacal.fit.lm import lm
 from casacal.fit.nominal import nominal_sight, nominal_tips
-from casacal.fit.result import Result
 from casacal.kernels.losses import huber
 from casacal.model.geometry import fitted_plane
 from casacal.model.instrument import readings_within

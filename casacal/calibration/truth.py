@@ -15,7 +15,7 @@ from casacal.deployment.result_file import sealed
 from casacal.errors import CasacalError
 from casacal.files import side_by_side, write_json
 from casacal.fit.bound_problem import BoundProblem, bind
-from casacal.fit.result import Result, Status
+from casacal.fit.least_squares import Result, Status
 from casacal.fit.seen import seen
 from casacal.model.problem_file import ProblemFile
 from casacal.simulation.simulate import Simulation

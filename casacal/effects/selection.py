@@ -17,8 +17,8 @@ from casacal.effects.kit import with_kit, with_link_kit, with_rich_kit
 from casacal.effects.smooth import JointField
 from casacal.errors import ProblemError
 from casacal.fit.bound_problem import OTHERS, SHARED, BoundProblem, by_face, of_repeats, times
+from casacal.fit.least_squares import Result
 from casacal.fit.lm import lm
-from casacal.fit.result import Result
 from casacal.linalg import posterior_covariance
 from casacal.model.dial import dial_cycle, dial_gain
 from casacal.model.problem import Problem

@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from casacal.fit.least_squares import Conditioned, LeastSquares
+from casacal.fit.least_squares import Conditioned, LeastSquares, Result, Status, nothing_unknown
 from casacal.fit.lm import lm
-from casacal.fit.result import Result, Status, nothing_unknown
 from casacal.linalg import right_directions
 
 UNMOVED = 1.01

@@ -12,9 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casacal.fit.least_squares import ExtendedPass, FilterPass, LeastSquares
+from casacal.fit.least_squares import ExtendedPass, FilterPass, LeastSquares, Result, Status, nothing_unknown
 from casacal.fit.lm import MAX_STEPS, lm
-from casacal.fit.result import Result, Status, nothing_unknown
 from casacal.kernels.losses import Loss
 from casacal.linalg import downdated, tria
 from casacal.values import Array, Value

@@ -12,8 +12,7 @@ import casadi as ca
 import numpy as np
 
 from casacal.errors import CasacalError, ProblemError, UnknownNameError, came
-from casacal.fit.least_squares import LeastSquares
-from casacal.fit.result import Result, Status, nothing_unknown
+from casacal.fit.least_squares import LeastSquares, Result, Status, nothing_unknown
 from casacal.kernels.losses import Loss
 from casacal.values import Array, Index
 

@@ -24,8 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from casacal.fit.least_squares import DampedStep, LeastSquares, Normal
-from casacal.fit.result import Result, Status, nothing_unknown
+from casacal.fit.least_squares import DampedStep, LeastSquares, Normal, Result, Status, nothing_unknown
 from casacal.kernels.losses import Loss
 from casacal.values import Array
 

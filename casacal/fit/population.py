@@ -11,8 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from casacal.errors import ProblemError
-from casacal.fit.least_squares import LeastSquares
-from casacal.fit.result import Result, Status, nothing_unknown
+from casacal.fit.least_squares import LeastSquares, Result, Status, nothing_unknown
 from casacal.kernels.losses import Loss
 from casacal.values import Array
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from casacal.errors import StudyError
 from casacal.fit.bound_problem import BoundProblem, bind
-from casacal.fit.result import Result
+from casacal.fit.least_squares import Result
 from casacal.model.problem import Problem
 from casacal.simulation.cell import Cell
 from casacal.simulation.simulate import simulate

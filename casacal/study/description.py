@@ -27,8 +27,7 @@ import numpy as np
 
 from casacal.errors import StudyError
 from casacal.files import place_whole, write_text
-from casacal.fit.least_squares import LeastSquares
-from casacal.fit.result import Result
+from casacal.fit.least_squares import LeastSquares, Result
 from casacal.values import Array
 
 PACKAGES = ("casadi", "numpy", "scipy")  # packages whose version can change a number

@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 from casacal.errors import said
-from casacal.fit.least_squares import DampedStep, ExtendedPass, FilterPass, LeastSquares, Normal
-from casacal.fit.result import Result, as_result
+from casacal.fit.least_squares import DampedStep, ExtendedPass, FilterPass, LeastSquares, Normal, Result, as_result
 from casacal.kernels.losses import Loss
 from casacal.study.description import TIMINGS, Key, Record, Study, Trial
 from casacal.values import Array

@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from casacal.fit.bound_problem import BoundProblem
-from casacal.fit.least_squares import LeastSquares
-from casacal.fit.result import Result
+from casacal.fit.least_squares import LeastSquares, Result
 from casacal.kernels.losses import Loss
 from casacal.linalg import determined, svd
 from casacal.values import Array

@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 
 from casacal.errors import CasacalError, ProblemError, came
 from casacal.fit.bound_problem import BoundProblem
-from casacal.fit.result import Result
+from casacal.fit.least_squares import Result
 from casacal.model.problem import Problem
 from casacal.model.problem_text import FINEST
 from casacal.uncertainty.evidence import NormalEquations, evidence, told

@@ -10,8 +10,8 @@ import numpy as np
 
 from casacal.data.repeats import Repeats
 from casacal.fit.bound_problem import OTHERS, REPEATABILITY, SHARED, BoundProblem, by_face, of_repeats
+from casacal.fit.least_squares import Result
 from casacal.fit.lm import lm
-from casacal.fit.result import Result
 from casacal.kernels.losses import Loss
 from casacal.linalg import posterior_covariance
 from casacal.uncertainty.evidence import NormalEquations

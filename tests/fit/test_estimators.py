@@ -39,9 +39,8 @@ from casacal import (
 from casacal.errors import ProblemError
 from casacal.fit.filters import Belief, cubature_update, linear_update, predict
 from casacal.fit.ipopt import Objective
-from casacal.fit.least_squares import DampedStep, Normal
+from casacal.fit.least_squares import DampedStep, Normal, Status
 from casacal.fit.lm import Damping, Move, Point, Shortest, acceptable, given_up, next_move
-from casacal.fit.result import Status
 from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 
 ALL = {"lm": lm, "sckf": sckf, "sckf_lm": sckf_lm, "ekf": ekf, "ipopt": ipopt, "scipy": scipy_least_squares}
