@@ -117,7 +117,7 @@ def check_writable(folder: Path) -> None:
 
 
 def mark_of_this_run() -> str:
-    """What names of temporary files say of who made them: machine and process."""
+    """Machine and process, as names of temporary files carry them."""
     return f"{hashlib.sha256(platform.node().encode()).hexdigest()[:8]}-{os.getpid()}"
 
 

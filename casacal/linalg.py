@@ -124,7 +124,7 @@ def whitening_of(covariance: Array) -> Array:
 
 
 def unit_scale(diagonal: Array) -> Array:
-    """What scales a matrix with this diagonal (n,) to a unit one."""
+    """Scale that takes a matrix with this diagonal (n,) to unit diagonal."""
     return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
 
 

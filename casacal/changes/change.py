@@ -112,7 +112,7 @@ class Change(Value):
         return {NOTHING: False, CHANGED: True}.get(self.ended)
 
     def summary(self) -> str:
-        """What `casacal changed` prints: a paragraph each line."""
+        """Report of `casacal changed`, one paragraph a line."""
         causes = [
             f"  {capital(cause.called)}: {100 * cause.share:.0f} % of the evidence"
             + (f"; size {cause.amount}" if cause.kind != "row" else "")

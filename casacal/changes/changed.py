@@ -66,7 +66,7 @@ def changed(
 def looked(
     given: Opened, standing: Collection[str], drift: Mapping[str, float], *, alarm: float, touches: int, seed: int
 ) -> tuple[Change, Look]:
-    """The same of rows that were opened, and the last look: without rows that are off."""
+    """`changed` for rows already opened; also returns the last look, without rows that are off."""
     if not (is_real(alarm) and 0.001 <= alarm <= 0.5):
         raise CasacalError(f"Got {came(alarm)}, {alarm!r}, as the false alarm rate", "Give 0.001 to 0.5")
     for what, value, most in (("touches", touches, 100), ("seed", seed, 2**63)):

@@ -223,7 +223,7 @@ class Look:
         return Look(fresh, shifted, causes, slopes, tests, tests.level(alarm, seed))
 
     def without(self, row: int, alarm: float, seed: int) -> Look:
-        """The same without a row."""
+        """The look with one row left out."""
         kept: NDArray[np.intp] = np.delete(np.arange(len(self.fresh.bound.block.samples)), row)
         fewer = replace(self.fresh, bound=self.fresh.bound.take(kept.tolist()))
         return Look.at(fewer, self.tests.noise, alarm, seed, self.shifted.on(fewer.bound.block.samples))

@@ -274,7 +274,7 @@ def stds_of(option: str, settings: Sequence[str], example: str) -> dict[str, flo
 def _read(
     option: str, settings: Sequence[str], form: str, example: str, read: Callable[[str], Read]
 ) -> dict[str, Read]:
-    """What stands by name after an option, read by a function that raises ValueError."""
+    """Values by name of an option `NAME=VALUE`, each read by a function that raises ValueError."""
     found = dict[str, Read]()
     for setting in settings:
         name, _, value = setting.partition("=")

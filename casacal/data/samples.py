@@ -243,7 +243,7 @@ class Samples(Value):
 
     @staticmethod
     def from_csv(path: str | Path, layout: Layout, *, absurd: bool = False) -> Samples:
-        """The same, by the name of what most people have."""
+        """`from_file`, under the name of the usual format."""
         return Samples.from_file(path, layout, absurd=absurd)
 
     @staticmethod
@@ -368,7 +368,7 @@ def samples_text(
     least_decimals: int = 0,
     prefix: str = "",
 ) -> str:
-    """The same as text.
+    """Samples file as text.
 
     before, after: further columns of cells (N,), by name. joint_decimals, least_decimals: of joint values, and of
     readings at least. prefix: what the names of readings begin with.

@@ -321,7 +321,7 @@ def whole_rows(
 
 
 def told_notes(arm: CalibratedArm, missing: Mapping[str, tuple[str, ...]], beyond: Sequence[str]) -> list[str]:
-    """What the columns of rows corrected, which are far beyond the fitted ones, and what they lack, a sentence each."""
+    """Sentences on columns that drive effects: corrected, missing, or far beyond the fitted rows."""
     found = arm.found
     told = [words for key, words in found.called.items() if key in found.effects.further]
     done = listed([words for words in told if words not in missing])

@@ -272,7 +272,7 @@ class Miss:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What pendant rows say about a controller's conventions.
+    """Diagnosis of a controller's conventions from pendant rows.
 
     meanings: all that fit, the simplest first; empty when none does. more: whether there are more than were looked at.
     postures: how many different ones the rows hold. further: the pose that would settle it, None where nothing is open.

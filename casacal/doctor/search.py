@@ -97,7 +97,7 @@ def axes_of(robot: Robot) -> Axes:
 
 
 def _mixings(turns: tuple[bool, ...]) -> Iterator[Array]:
-    """What a pose function may do to its joints before they move axes: nothing, one coupling, or several neighbours."""
+    """Candidate couplings of joints in a pose function: none, one, or several neighbours."""
     n = len(turns)
     yield np.eye(n)
     alike = [(i, j) for i in range(n) for j in range(n) if i != j and turns[i] and turns[j]]

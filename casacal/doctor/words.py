@@ -15,7 +15,7 @@ SHOWN = 4  # values of one setting that are listed when it is open
 
 
 def diagnosis_text(found: Diagnosis, joints: Sequence[Joint] | None = None) -> str:
-    """What is certain, what is open, what would settle it, and the block for a DH file; plain text.
+    """Report in plain text: certain findings, open ones, rows that would settle them, and the block for a DH file.
 
     joints: the robot's, needed where some slide.
     """

@@ -229,7 +229,7 @@ class LinkSag(Loaded):
         return replace(links, places=np.array(self.centres)) if self.centres else links
 
     def _moments(self, site: Site, q: Expression, load: Expression) -> Expression:
-        """Of what each joint (rows) carries: link by link (n, n) in metres, or of all links (n, 1) in kg m.
+        """Moment arms of the load on each joint (rows): per link (n, n) in m, or of all links (n, 1) in kg m.
 
         load: kg at the flange; without masses it is a link more, in units of `LOAD`.
         """

@@ -73,7 +73,7 @@ class TransmissionError(Waves):
 
 @dataclass(frozen=True, kw_only=True)
 class GearRipple(Waves):
-    """What comes back with every turn of a motor, and twice in it: wave generators, pinions and motor encoders.
+    """Transmission ripple once and twice per motor turn: wave generators, pinions, motor encoders.
 
     Of turning joints whose gear ratio is known, `Joint(..., gear_ratio=...)`.
 

@@ -29,7 +29,7 @@ def kit(*, down: tuple[float, float, float] = DOWN, links: bool = False) -> tupl
 
 
 def rich_kit(*, down: tuple[float, float, float] = DOWN) -> tuple[Effect, ...]:
-    """The same for rows that err together by more than each of them does alone: much more of what has no name."""
+    """Standard effects for rows whose errors are mostly shared: with a wider error field of unknown origin."""
     return tuple(JointField(reach=0.7, rank=120) if isinstance(each, JointField) else each for each in kit(down=down))
 
 
@@ -42,10 +42,10 @@ def with_kit(problem: Problem) -> Problem:
 
 
 def with_link_kit(problem: Problem) -> Problem:
-    """The same geometry with those of any arm, which sags by the weights of its links."""
+    """A problem with the standard effects, gravity sag by the weights of links."""
     return problem.with_terms(*BY_LINKS)
 
 
 def with_rich_kit(problem: Problem) -> Problem:
-    """The same with `rich_kit`."""
+    """A problem with the effects of `rich_kit`."""
     return problem.with_terms(*RICH)

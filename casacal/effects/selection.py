@@ -51,7 +51,7 @@ UNSEEN = 1e-9  # part of the squared length of a column that a fit must leave of
 
 
 def with_effects(bound: BoundProblem, problem: Problem, *, find_noise: bool = True) -> BoundProblem:
-    """The same rows with the effects that any arm is expected to have, sizes and noise as the rows show them.
+    """The bound problem with the standard effects, their sizes and the noise estimated from the rows.
 
     Sizes are those at which the rows are likeliest (restricted marginal likelihood) where the geometry stands. Noise is
     never less than stated; where many rows err together by more than each does alone, all errors of a row together are
@@ -282,7 +282,7 @@ def effect_sizes_of(fit: BoundProblem, x: Array) -> tuple[EffectSize, ...]:
 
 
 def dial_errors(fit: BoundProblem, x: Array) -> tuple[DialError, ...]:
-    """What undeclared errors of a dial would explain beside a fit: a gain, and an error by the pointer's angle.
+    """Undeclared dial errors that would improve a fit: a gain, and an error periodic in the pointer's angle.
 
     Columns B (N, m) beside a minimum of residuals r, with C its covariance: what the fit leaves of them,
     K = B'(I - J C J')B, lowers the sum of squares by B'r K^-1 B'r; that over the rest is F distributed.

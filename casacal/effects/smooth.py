@@ -172,7 +172,7 @@ ENOUGH = 1e-3  # variance of a row, of one, below which it tells nothing that ot
 
 @dataclass(frozen=True, kw_only=True)
 class JointField(Effect):
-    """What is left: errors along the residual that are alike in like postures.
+    """Residual error field: errors along the residual, correlated between similar postures.
 
     A Gaussian process of squared exponential covariance over the joint values, by what it has in common with its values
     at a few rows: the first pivots of the Cholesky factor of the fitted rows' covariance (Harbrecht, Peters and

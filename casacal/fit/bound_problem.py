@@ -49,12 +49,12 @@ def by_face(scale: Mapping[str, float]) -> dict[str, float]:
 
 
 def of_repeats(scale: Mapping[str, float]) -> dict[str, float]:
-    """What repeats share alone: the noise as it was stated, but for that."""
+    """Noise between repeats: the stated noise without what repeats share."""
     return {name: value for name, value in scale.items() if name == SHARED}
 
 
 def without_joints(scale: Mapping[str, float]) -> dict[str, float]:
-    """The same without what joints do not repeat."""
+    """The problem without joint repeatability."""
     return {name: value for name, value in scale.items() if name != REPEATABILITY}
 
 
@@ -171,7 +171,7 @@ class BoundProblem(LeastSquares):
             self._rows = stated.with_noise(self.blocks)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """What it was made from; kernels and sums are computed again."""
+        """Constructor and arguments for pickling; kernels and sums are recomputed."""
         made_from = (self.problem, self.slots, self.samples, self._asked, self._threads, self.scale, self.surveys)
         return BoundProblem, (*made_from, None, self.known)
 
@@ -192,7 +192,7 @@ class BoundProblem(LeastSquares):
         return self._like(self.slots, sets_of(samples), self.scale)
 
     def take(self, rows: Sequence[int] | Index) -> BoundProblem:
-        """The same unknowns on some of the samples, by their numbers."""
+        """The problem on a subset of its samples, by row numbers; unknowns keep their places."""
         return self.on(*self.measured.take(rows).sets)
 
     def thinned(self, most: int) -> BoundProblem:
@@ -201,22 +201,22 @@ class BoundProblem(LeastSquares):
         return self if count <= most else self.take(np.unique(np.linspace(0, count - 1, most).astype(int)))
 
     def under(self, problem: Problem) -> BoundProblem:
-        """The same rows and nominal values under another problem of the same geometry, such as one with other terms."""
+        """The rows and nominal values bound to another problem of the same geometry, such as one with other terms."""
         slots = make_slots(problem, self.samples, {slot.name: slot.nominal for slot in self.slots})
         return BoundProblem(problem, slots, self.samples, self._asked, self._threads, self.scale, known=self.known)
 
     def with_known(self, known: Gaussian) -> BoundProblem:
-        """The same rows with unknowns that are known together, by name, in place of priors of their own."""
+        """The problem with a joint Gaussian prior on some unknowns, by name, in place of their own priors."""
         given = (self.problem, self.slots, self.samples, self._asked, self._threads, self.scale, self.surveys)
         return BoundProblem(*given, self._stated, known)
 
     def with_sizes(self, times: Mapping[str, float], *, noise: Mapping[str, float] | None = None) -> BoundProblem:
-        """The same rows, priors of terms multiplied by a factor for each key; with other factors of noise, if any."""
+        """The problem with prior standard deviations of terms scaled by a factor per key, and noise by others."""
         slots = [slot.sized(times.get(slot.beside, 1.0)) for slot in self.slots]
         return self._like(slots, self.samples, self.scale if noise is None else noise)
 
     def with_noise(self, scale: Mapping[str, float] = EMPTY) -> BoundProblem:
-        """The same rows, their stated noise times a factor for each face, or each of several instruments.
+        """The problem with stated noise scaled by a factor per face, or per instrument where there are several.
 
         "" stands for those that are not named; without any, it is the noise as stated.
         """
@@ -281,7 +281,7 @@ class BoundProblem(LeastSquares):
 
     @cached_property
     def noise_labels(self) -> Labels:
-        """What (rows,) the noise of each residual may differ by: its face, or its instrument where there are several.
+        """Noise group of each residual (rows,): its face, or its instrument where there are several.
 
         Where an instrument's residual has blocks, their names, after its own among several.
         """
@@ -360,7 +360,7 @@ class BoundProblem(LeastSquares):
 
     @cached_property
     def joint_noise(self) -> Array:
-        """The same where every joint errs by one radian of its own, and nothing else."""
+        """Residual noise where every joint errs independently by one radian, and nothing else does."""
         return np.concatenate([block.joint_noise.ravel() for block in self.blocks])
 
     def tips(self, x: Array, joints: Array, instrument: int = 0) -> Array:
@@ -387,7 +387,7 @@ class BoundProblem(LeastSquares):
 
     @property
     def backend(self) -> str:
-        """What evaluates the rows: "c" or "blocks"."""
+        """Back end that evaluates the rows: "c" or "blocks"."""
         return self._rows.backend
 
     def plain_residual(self, x: Array) -> Array:

@@ -147,7 +147,7 @@ def ipopt(
 def nlpsol(
     problem: LeastSquares, *, solver: str = "ipopt", options: Mapping[str, Any] | None = None, loss: Loss | None = None
 ) -> Result:
-    """The same program by any solver that CasADi's nlpsol finds, such as "fatrop" or "sqpmethod".
+    """The program of `ipopt` by any nlpsol plug-in, such as "fatrop" or "sqpmethod".
 
     Args:
         problem: must have a `graph`.

@@ -141,7 +141,7 @@ class KernelRows:
         return self._kernels[0].name
 
     def with_noise(self, blocks: Sequence[Block]) -> KernelRows:
-        """The same rows with other noise; their data are packed once for all."""
+        """Rows with other noise; packed data are shared."""
         return KernelRows(blocks, self._unknowns, self._asked, self._shared_by, self._packed or self)
 
     @cached_property

@@ -35,12 +35,12 @@ class Gaussian(Value):
     covariance: Array
 
     def of(self, names: Collection[str]) -> Gaussian:
-        """What is known of some of the unknowns, whatever the others are; in its own order."""
+        """Marginal Gaussian of some unknowns, in their order here."""
         kept = [j for j, name in enumerate(self.names) if name in names]
         return Gaussian(tuple(self.names[j] for j in kept), self.mean[kept], self.covariance[np.ix_(kept, kept)])
 
     def given(self, values: Mapping[str, float]) -> Gaussian:
-        """What is then known of the others, where some of the unknowns are held at these values."""
+        """Conditional Gaussian of the other unknowns, some held at these values."""
         held = [j for j, name in enumerate(self.names) if name in values and np.isfinite(self.covariance[j, j])]
         rest = [j for j, name in enumerate(self.names) if name not in values]
         off = np.array([values[self.names[j]] for j in held]) - self.mean[held]
@@ -107,7 +107,7 @@ class DampedStep(NamedTuple):
 
 @dataclass(frozen=True)
 class FilterPass:
-    """What a cubature filter did with rows up to `stop`: the belief after them, and its trace, one entry a row.
+    """Result of a cubature filter over rows up to `stop`: belief after them, and trace, one entry a row.
 
     mean: (n,); root: (n, n), lower triangular; means: (rows done, n), all in units of `start_std` about x0.
     """
@@ -122,7 +122,7 @@ class FilterPass:
 
 @dataclass(frozen=True)
 class ExtendedPass:
-    """What a fused extended filter did: the belief after all rows, and its trace.
+    """Result of a fused extended filter: belief after all rows, and trace.
 
     mean: (n,); covariance: (n, n). means: (rows, n); innovations, stds: (rows,).
     """
@@ -179,7 +179,7 @@ class LeastSquares(ABC):
         """Whitened residual k and its gradient (n,) at x (n,)."""
 
     def first_part(self) -> tuple[LeastSquares, Index] | None:
-        """The same rows in the unknowns that matter most, and where these stand; None where that is all of them.
+        """Problem in the most influential unknowns, and their positions; None where that is all of them.
 
         A filter that is to give a start, no more, need not follow the others.
         """
@@ -241,7 +241,7 @@ class LeastSquares(ABC):
         )
 
     def revealing_step(self, x: Array, normal: Normal, damping: float, loss: Loss | None = None) -> DampedStep | None:
-        """The same step from singular values, where normal equations are not safe; None where not all is finite."""
+        """Damped step by singular values, where normal equations lose digits; None where not all is finite."""
         scale = self.start_std
         gradient = scale * (normal.gradient + self.prior_information @ (x - self.x0))
         stacked = np.vstack([self.weighted_rows(x, loss), self.prior_rows]) * scale
@@ -454,7 +454,7 @@ class Result(Value):
 
     @property
     def success(self) -> bool:
-        """The same, by SciPy's name."""
+        """`converged`, under SciPy's name."""
         return self.converged
 
     @property
@@ -488,7 +488,7 @@ class Result(Value):
 
 
 def as_result(outcome: Result | Array | Any, problem: LeastSquares, method: str) -> Result:
-    """What an estimator returned as a result over the problem itself: a `Result`, or x (n,) without a word more.
+    """`Result` of what an estimator returned: a `Result`, or x (n,) alone.
 
     Raises CasacalError for an estimate of another shape, or one that is not finite.
     """
@@ -512,6 +512,6 @@ def nominal(problem: LeastSquares) -> Result:
 
 
 def nothing_unknown(problem: LeastSquares, method: str) -> Result:
-    """What any method returns where every unknown is held: the arm as drawn, x of no entries."""
+    """Result where every unknown is held: the nominal arm, x of no entries."""
     assert not problem.unknowns
     return replace(nominal(problem), method=method)

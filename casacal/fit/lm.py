@@ -110,7 +110,7 @@ class Shortest(NamedTuple):
     since: int = 0
 
     def after(self, move: Move, here: Point) -> Shortest:
-        """The same once a move from here is known."""
+        """Record after one more move from `here`: the shortest move yet, or one more since."""
         if not move.undamped:
             return self
         return Shortest(move.length, here) if move.length < self.length else self._replace(since=self.since + 1)

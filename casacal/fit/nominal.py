@@ -29,7 +29,7 @@ Proposed = Mapping[str, Array]
 
 
 def proposed_by(problem: Problem, i: int, named: Mapping[str, Array]) -> Proposed:
-    """Of nominal values by full name those of instrument `i`, where there is one for all of its rows."""
+    """Nominal values of instrument `i` among those by full name, where one serves all of its rows."""
     return {key: named[full] for key, full in problem.full_names[i].items() if full in named}
 
 
@@ -48,7 +48,7 @@ def row_columns(
 
 
 def surveys_of(problem: Problem, samples: Sequence[Samples], named: Mapping[str, Array]) -> tuple[Survey | None, ...]:
-    """What the rows of each instrument say of themselves, where terms want to know."""
+    """Survey of each instrument's rows for the terms that ask for one."""
     if not problem.terms:
         return (None,) * len(samples)
     return tuple(
@@ -58,7 +58,7 @@ def surveys_of(problem: Problem, samples: Sequence[Samples], named: Mapping[str,
 
 
 def nominal_sight(problem: Problem, i: int, samples: Samples) -> Sight:
-    """What the nominal robot says about all rows of instrument `i`; raises ProblemError when a tip is not finite."""
+    """Nominal poses and tips of all rows of instrument `i`; raises ProblemError when a tip is not finite."""
     model, inputs = problem.models[i], _nominal_inputs(problem, i, samples)
     poses = stacked_poses(model.columns.pose(*inputs))
     if problem.terms and np.isnan(poses).any():  # terms that ask for a tip which rows have yet to propose

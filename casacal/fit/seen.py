@@ -58,7 +58,7 @@ Seen: TypeAlias = BoundProblem | ArmAlone
 
 
 def seen(bound: BoundProblem, x: Array, *, motion: bool = False) -> tuple[Seen, Array]:
-    """What figures of the arm need at x (n,), and the part of x that it has: all, where that is all there is."""
+    """Problem with nuisance unknowns marginalised at x (n,), and its part of x; both unchanged where there are none."""
     if not any(bound.beside):
         return bound, x
     found = ArmAlone(bound, x, motion=motion)

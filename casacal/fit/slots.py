@@ -66,7 +66,7 @@ def _check_rows(
 
 
 def _proposed(instrument: Instrument, key: str, unknown: Unknown, sight: Sight) -> Array | None:
-    """What an instrument proposes, None where residuals are to find it; raises ProblemError for what is no nominal."""
+    """Nominal value that an instrument proposes, None to search for it; raises ProblemError for an invalid one."""
     whose = f"`propose` of {type(instrument).__name__}"
     try:
         found = np.asarray(instrument.propose(key, sight), dtype=np.float64)
@@ -117,7 +117,7 @@ class Slot(Value):
         return self.unknown.size < self.unknown.freed().size
 
     def sized(self, times: float) -> Slot:
-        """The same with all prior standard deviations multiplied."""
+        """Slot with prior standard deviations scaled."""
         stds = [float(std) * times for std in self.unknown.prior_stds]
         return self if times == 1 else replace(self, unknown=self.unknown.with_prior(stds))
 

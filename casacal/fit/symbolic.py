@@ -98,7 +98,7 @@ class SymbolicProblem:
         return self.names.index(name)
 
     def values(self, x: Any) -> dict[str, Expression]:
-        """What every unknown is at x, by name: a number, a vector of all its components, a 4x4 frame or a plane.
+        """Value of every unknown at x, by name: a number, a vector, a 4x4 frame or a plane.
 
         A plane has `normal`, `point` and `distance(point)`. Names are those of `RowKind.unknowns`.
         """

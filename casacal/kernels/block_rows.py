@@ -35,7 +35,7 @@ class Buffered:
         self.bound(inputs, outputs)()
 
     def bound(self, inputs: Sequence[Array], outputs: Sequence[Array]) -> Callable[[], None]:
-        """What evaluates from and to the same memory whenever this thread calls it, as long as this object lives."""
+        """Evaluator bound to fixed buffers of this thread, for as long as this object lives."""
         if not hasattr(self._own, "buffer"):
             self._own.buffer, self._own.evaluate = self._function.buffer()
         buffer: Any = self._own.buffer  # CasADi's stubs do not know that it takes a memoryview
@@ -204,7 +204,7 @@ class BlockKernels(Kernels):
         return s
 
     def _prepared(self, name: str, p: Array) -> Array:
-        """What depends on parameters alone, of the residual or of all, once for all blocks."""
+        """Values that depend on parameters alone, computed once for all blocks."""
         program = self._residual if name == "residual" else self._program
         o = np.empty(len(program.once))
         if o.size:

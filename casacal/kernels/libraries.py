@@ -215,7 +215,7 @@ def _ours(about: os.stat_result, forbidden: int) -> bool:
 
 
 def _content(path: Path, forbidden: int) -> bytes | None:
-    """What is in a file of this user; None where it is no file, a link, or its mode has a forbidden bit."""
+    """Content of a file of this user; None where it is no file, a link, or its mode has a forbidden bit."""
     with contextlib.suppress(OSError):
         about = path.lstat()
         if stat.S_ISREG(about.st_mode) and _ours(about, forbidden):
@@ -282,7 +282,7 @@ def _read_key(path: Path) -> bytes | None:
 
 @functools.cache
 def _processor() -> str:
-    """What -march=native depends on; where nobody tells, the machine, for home folders may be shared."""
+    """Identity of the processor for -march=native, or of the machine where unknown: home folders may be shared."""
     with contextlib.suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith(("flags", "Features")):

@@ -26,7 +26,7 @@ class Loss:
 
 
 def worth_under(loss: Loss, r: Array) -> float:
-    """What J'WJ at residuals r (N,) is to be multiplied by to be the information of the estimate.
+    """Factor on J'WJ at residuals r (N,) that makes it the information of the estimate.
 
     That of psi = rho' is J'J mean(psi')^2 / mean(psi^2), and not more than J'J (Huber, Robust Statistics, 1981, section
     7.6): gross rows still pull, and their weights alone do not say so.

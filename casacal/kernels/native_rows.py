@@ -122,7 +122,7 @@ class _Printer:
         return f"{'d' if self.program.kinds[value] == 'lane' else 'v'}{value}"
 
     def definitions(self, what: str, out: Sequence[str]) -> Definitions:
-        """What c/program.h defines for ERRORS or SLOPES: preparing, reading, and a lane that ends with `out`."""
+        """Definitions in c/program.h for ERRORS or SLOPES: prepare, read, and a lane that ends with `out`."""
         once, used = self.program.once, set(self.needed)
         prepared = [f"o[{k} * states + s] = {self.name(v)};" for k, v in enumerate(once)]
         read = [f"const double v{v} = o[{k} * stride];" for k, v in enumerate(once)]

@@ -46,7 +46,7 @@ class Kernels(ABC):
         return Lanes(len(data), self._packed(d, repeat=True), self._packed(1.0 / noise.T))
 
     def reweighted(self, lanes: Lanes, w: Array) -> Lanes:
-        """The same rows with other weights (m, n)."""
+        """Rows with other weights (m, n)."""
         return replace(lanes, w=self._packed(w))
 
     @abstractmethod
@@ -89,7 +89,7 @@ class Piece:
         return self.columns.size + self.constants.size
 
     def parameters(self, x: Array) -> Array:
-        """What the kernels call p, at x (n,) or at many (m, n)."""
+        """Kernel argument p at x (n,) or at many (m, n)."""
         if self.size == x.shape[-1] == self.columns.size and self._in_order:
             return np.ascontiguousarray(x, dtype=np.float64)
         if x.ndim == 1:
@@ -103,7 +103,7 @@ class Piece:
 
 
 def lane_data(program: Program, data: Array) -> Array:
-    """What lanes read (columns, rows) of rows of data (rows, k), the program's last argument."""
+    """Lane data (columns, rows) from rows of data (rows, k), the program's last argument."""
     d = np.zeros((len(program.lanes), len(data)))
     if len(d):  # a residual may ignore its data
         nothing = [np.zeros(0)] * (len(program.starts) - 1)

@@ -58,7 +58,7 @@ class Suspect:
 
 @dataclass(frozen=True)
 class Sight:
-    """What the nominal robot says about the rows that share one instance of an unknown."""
+    """Nominal poses and readings of the rows that share one instance of an unknown."""
 
     poses: Array
     """Nominal flange poses, (N, 4, 4), mm."""

@@ -75,7 +75,7 @@ def new_from_urdf(
 
 
 def _table_said(table: DHTable, given: Given) -> dict[str, str]:
-    """What templates/problem.py.txt says of a DH table: names to import, limits of the joints, and the robot."""
+    """Context of templates/problem.py.txt for a DH table: imports, joint limits, robot."""
     turning = all(joint.turns for joint in table.joints)
     names = ["Joint", "Problem", "Robot", "deg", *given.names]
     arguments = [quoted(table.name)]

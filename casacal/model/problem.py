@@ -96,7 +96,7 @@ class Problem(Value):
         return f"<Problem: {self.robot!r} measured by {self._said}>"
 
     def _repr_html_(self) -> str:
-        """What is free, with its unit and prior: what a notebook shows."""
+        """Table for notebooks: free unknowns with unit and prior."""
         rows = [
             (name, unit, f"{std:.3g}" if math.isfinite(std) else "flat")
             for key, unknown in self._named()
@@ -351,7 +351,7 @@ def _check_parts(robot: Any, instruments: Sequence[Any], terms: Sequence[Any]) -
 
 
 def _shared_by(shared: Any, instruments: Mapping[str, Instrument]) -> Shared:
-    """What was declared as shared; refused where instruments do not have it, or not alike."""
+    """Shared unknowns as declared; refused where instruments lack one, or declare it differently."""
     if not isinstance(shared, Mapping):
         fix = 'Name it and the instruments, such as shared={"tool": ("dial", "spike")}'
         raise ProblemError(f"Got {came(shared)} as what instruments share", fix)

@@ -34,7 +34,7 @@ class SourceFile:
 
 
 class Surroundings:
-    """What a problem.py may define as `cell` beside its problem: what stands around the arm, for whoever asks."""
+    """Protocol of `cell` in a problem.py: the surroundings of the arm."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -19,7 +19,7 @@ FILL_IN = "TO FILL IN"  # what marks a line that nobody has looked at yet
 
 @dataclass(frozen=True, kw_only=True)
 class Given:
-    """What a user says of a cell when its problem is made; None for what was not said.
+    """A user's answers about a new cell; None for what was not said.
 
     tool: the tip at reading zero in the flange frame, mm. sign: +1 where a larger reading lengthens the tool, -1 where
     it shortens it. accuracy: absolute accuracy of the arm as its maker states it, mm.
@@ -45,13 +45,13 @@ class Given:
 
     @property
     def names(self) -> list[str]:
-        """What problem.py imports for it."""
+        """Names that problem.py imports for it."""
         scaled = [] if self.accuracy is None else ["scaled_to_accuracy"]
         return ["DialOnPlane", "dial_gain", "tool_point", *scaled]
 
     @property
     def told(self) -> dict[str, object]:
-        """What templates/problem.py.txt says of tool, dial and maker."""
+        """Context of templates/problem.py.txt for tool, dial and maker."""
         travel = 10.0 if self.travel is None else self.travel
         return {
             "todo": {name: "" if value is not None else f" {FILL_IN}." for name, value in vars(self).items()},
@@ -63,7 +63,7 @@ class Given:
 
     @property
     def missing(self) -> list[str]:
-        """What is still to be filled in, and what was assumed."""
+        """Values still to fill in, and assumptions made."""
         assumed = {
             "tool": "the tool: the tip is assumed at the flange's origin, pointing along its z axis",
             "sign": "the dial's sign: -1 is assumed, a plunger that is pushed in reads more",

@@ -93,7 +93,7 @@ class Robot(Value):
         return traced(self.pose, "pose", self.name, (4, 4), p, q)
 
     def with_gear_ratios(self, *ratios: float) -> Robot:
-        """The same arm, its motors' turns for one of each joint known; 0 where not; raises ProblemError."""
+        """The robot with motor turns per joint turn, 0 where unknown; raises ProblemError."""
         if len(ratios) != len(self.axes):
             fix = "Give one for each joint, 0 where it is not known"
             raise ProblemError(f"Got {len(ratios)} gear ratios for {len(self.axes)} joints", fix)
@@ -312,5 +312,5 @@ def inside_limits(robot: Robot, joints: Array) -> Rows:
 
 
 def joint_units(robot: Robot) -> Array:
-    """What counts as one unit of motion of each joint (n,): a radian, or as many mm as weigh as much."""
+    """Unit of motion of each joint (n,): one radian, or the mm that count as much."""
     return np.where(robot.revolute, 1.0, AXIS_WEIGHT)

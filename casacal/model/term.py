@@ -177,7 +177,7 @@ class Term(Portable, ABC):
         return {}
 
     def away(self, site: Site) -> Mapping[str, float]:
-        """What stands in those columns at postures that are no rows, where the tip is asked for."""
+        """Values of those columns at postures that are not samples, where the tip is evaluated."""
         return dict.fromkeys(self.columns(site), self.elsewhere)
 
     def joints(self, here: Here) -> Expression | None:

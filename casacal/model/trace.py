@@ -27,7 +27,7 @@ from casacal.values import FrozenMapping, Value
 
 @dataclass(frozen=True)
 class RowExpressions:
-    """What `pose`, `tip` and `residual` build of values p, joint values q and a row's columns."""
+    """Expressions that `pose`, `tip` and `residual` build from values p, joint values q and a row's columns."""
 
     pose: Expression
     """4x4, mm; a `Product` where the robot's function returns one."""
@@ -224,7 +224,7 @@ def _with_terms(here: Here, terms: Sequence[Term]) -> tuple[Expression, SimpleNa
 
 
 def _in_its_unit(instrument: Instrument, residual: Expression, found: ca.SX, words: str) -> Any:
-    """What a term adds to the components in the unit in which the instrument speaks; nothing to others."""
+    """A term's addition to the residual components that have its unit; zero for the others."""
     units = [block.unit for block in instrument.blocks for _ in range(block.size)]
     places = [k for k, unit in enumerate(units) if unit == instrument.words.unit]
     if len(units) != residual.numel():

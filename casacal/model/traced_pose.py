@@ -170,7 +170,7 @@ class TracedPose(Value):
 def traced(
     call: Any, what: str, owner: str, shape: tuple[int, int] | None, *arguments: Any, optional: bool = False
 ) -> Any:
-    """What a user's function builds, of that shape or a column; nothing (0, 1) for None where it is optional.
+    """Expression built by a user's function, of that shape or a column; (0, 1) for an optional None.
 
     Raises ProblemError, with the line of the user's file where that is known, when it fails or builds another shape.
     """

@@ -30,7 +30,7 @@ ALONG = 12  # points looked at on every rod, its ends among them
 
 @dataclass(frozen=True, eq=False)
 class Clearance(Value):
-    """What an arm must keep clear of.
+    """Obstacles and link radii that postures keep clear of.
 
     boxes: ranges of x, y, z (mm, base frame) where neither arm nor tool may be. link_radius: how thick its links are,
     mm, or None where only its tip and flange are looked at. The last link and the tool may come near a face.

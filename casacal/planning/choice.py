@@ -94,7 +94,7 @@ class Choice:
 
     @staticmethod
     def on_top(extra: BoundProblem, x: Array, known: Array, field: Array) -> Choice:
-        """Of extra rows, bound, where they stand at x (n,), on top of information (n, n), priors not in it.
+        """Choice among extra bound rows at x (n,), added to information (n, n) that holds no priors.
 
         field: slopes (3M, s) of a tip that is wanted at M postures, by the first unknowns; the others move none.
         """

@@ -61,7 +61,7 @@ class Cure:
 
 @dataclass(frozen=True, eq=False)
 class CureOutcome:
-    """What there would be after a cure.
+    """Expected accuracy after a cure.
 
     information: all there would be (m, m); the first unknowns are those that the samples share. rows: the touches that
     were chosen, where they were. problem: whose rows these are, with a new face or step.
@@ -77,7 +77,7 @@ class CureOutcome:
 
 
 def cures(bound: BoundProblem, x: Array, *, stays: float = 0.0) -> tuple[Cure, ...]:
-    """What to do next at x (n,), best first: 24 planned touches of each kind, and a tool that is measured.
+    """Next steps at x (n,), best first: 24 planned touches of each kind, and a measured tool.
 
     More of the same, 60 of them too; more tilt; another face at right angles; a plate that stands alone, inclined; a
     known length; half the noise. What this arm cannot reach is left out. An instrument that touches no faces has more
@@ -110,7 +110,7 @@ def cures(bound: BoundProblem, x: Array, *, stays: float = 0.0) -> tuple[Cure, .
 
 
 def cure_for(bound: Seen, now: Array, found: Sequence[Cure], direction: NullDirection | WeakDirection) -> str:
-    """What lowers the spread along a direction, in words: the best cure that settles it, else the one that helps most.
+    """Cure for an uncertain direction, in words: the best that settles it, else the one that helps most.
 
     bound: the problem whose direction it is. now: covariance of its unknowns (s, s). found: from `cures`, best first.
     """
@@ -131,7 +131,7 @@ def cure_for(bound: Seen, now: Array, found: Sequence[Cure], direction: NullDire
 
 
 def outcomes(bound: BoundProblem, x: Array) -> Iterator[CureOutcome]:
-    """What there would be after each cure at x (n,); the first unknowns are those that the samples share."""
+    """Expected accuracy after each cure at x (n,); the first unknowns are those that the samples share."""
     arm, at = seen(bound, x)
     told = arm.information(at)
     few = bound.unknowns <= MANY  # to choose among touches takes the cube of their number for each

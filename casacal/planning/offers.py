@@ -143,7 +143,7 @@ BLOCK = (35.0, 35.0)  # its top, mm
 
 
 def raised(face: Face, by: float, label: str) -> Face:
-    """The same face, so many mm along its normal."""
+    """Face shifted along its normal by some mm."""
     return replace(face, label=label, centre=triple(np.asarray(face.centre) + by * face.axes[0]))
 
 
@@ -159,7 +159,7 @@ def rising(face: Face, towards: Array, label: str) -> Face:
 
 
 def inclined(face: Face, by: float, towards: Array, label: str) -> Face:
-    """The same face, turned by an angle (rad) so that it looks more towards (3,)."""
+    """Face inclined by an angle (rad) towards a direction (3,)."""
     return replace(face, label=label, normal=triple(math.cos(by) * face.axes[0] + math.sin(by) * towards))
 
 

@@ -382,7 +382,7 @@ def links_checked(clearance: Clearance | None) -> bool:
 
 
 def cell_words(plan: Plan, problem: Problem, clearance: Clearance | None) -> list[str]:
-    """What was kept clear of, and where each face stands: sentences for whoever sets up the cell and runs the plan."""
+    """Sentences for setting up the cell: where each face stands, and what the plan keeps clear of."""
     table, said = plan.cell.table, list[str]()
     if not links_checked(clearance):
         kept = "joints, flange and tip are" if is_chain(problem.robot) else "the tip is"
@@ -409,7 +409,7 @@ def cell_words(plan: Plan, problem: Problem, clearance: Clearance | None) -> lis
 def document(
     plan: Plan, problem: Problem, compared: Sequence[SetUp], written: Sequence[str], clearance: Clearance | None = None
 ) -> dict[str, Any]:
-    """The same for another program."""
+    """The plan as data for other programs."""
     counts = {purpose: plan.purposes.count(purpose) for purpose in dict.fromkeys(plan.purposes)}
     errors = {
         "expected": plan.error,

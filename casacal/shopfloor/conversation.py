@@ -207,7 +207,7 @@ def repeats_last(session: Session, line: str, gauge: Gauge) -> bool:
 
 
 def waiting(session: Session, proposed: Touch | None, *, by_gauge: bool) -> str:
-    """What is waited for, for whoever comes back to the terminal."""
+    """Sentence that states what the session is waiting for."""
     if session.alarm is not None:
         return f"Waiting for an answer about touch {session.shown(session.alarm.touch)}: u, c or k"
     read = in_units(session.problem.layout())

@@ -178,14 +178,14 @@ HOLD, STREAM = 0.3, 2  # seconds in which so many more lines show that a gauge s
 
 
 class Entry(NamedTuple):
-    """What came: a line that was typed, one that a gauge sent, or a note to the operator."""
+    """One input: a typed line, a line from a gauge, or a note to the operator."""
 
     text: str
     source: Literal["typed", "sent", "note"] = "typed"
 
 
 class Inbox:
-    """What is typed and what a gauge sends while somebody is asked for a reading; the keyboard comes first.
+    """Inputs from keyboard and gauge while a reading is awaited; the keyboard comes first.
 
     Of a gauge at most one line waits. It counts only if it came after the prompt, and either `QUIET` seconds after the
     gauge's line before it or after `take_next`; of a line that nobody asked for it is seen, for `HOLD` seconds, whether
@@ -238,7 +238,7 @@ class Inbox:
             self._sent, self._open, self._wanted, self._told = None, True, False, False
 
     def take_next(self) -> None:
-        """Whatever the gauge sends next is wanted, be it one of a stream."""
+        """Accept the gauge's next line, even one of a stream."""
         with self._came:
             self._sent, self._wanted, self._open = None, True, True
 

@@ -214,7 +214,7 @@ class SessionSetting(Value):
     def state(
         self, touches: Sequence[Touch], slips: Callable[[int], list[Slip]], before: Known | None, *, new: bool
     ) -> SessionState:
-        """What touches tell; `slips` says what may be wrong with one, `new` that the last has just come."""
+        """Belief after touches; `slips` are candidate mistakes, `new` says that the last touch is new."""
         fit = [k for k, touch in enumerate(touches) if touch.purpose != CHECK]
         used = [fit[k] for k in self.usable([touches[k] for k in fit])]
         waiting, last = tuple(k for k in fit if k not in set(used)), len(touches) - 1
@@ -233,7 +233,7 @@ class SessionSetting(Value):
         return SessionState(known, alarm, off, std, waiting, self)
 
     def _others(self, used: Sequence[Touch], before: Known | None) -> Known | None:
-        """What all touches but the last tell of its face too; None where they tell nothing of it."""
+        """Belief from all touches but the last, its face included; None where they do not determine it."""
         if len(used) == 1:
             return known_before(self.problem, rows_of(used), self.places, self.planned)
         others = self.known_by(used[:-1], before)
@@ -251,7 +251,7 @@ FEWEST = 12  # touches from which on their scatter is looked at
 
 @dataclass(frozen=True, eq=False)
 class Known(Value):
-    """What some touches tell.
+    """Belief about the arm after some touches.
 
     touches: these. bound: to their rows. belief: in units of `start_std` about x0. factor: noise over what was stated,
     one or more. proposed: names of what stands where touches say, not a plan.
@@ -359,7 +359,7 @@ def _noise_over_stated(bound: BoundProblem, belief: Belief) -> float:
 
 
 def _moved(bound: BoundProblem, belief: Belief) -> BoundProblem:
-    """The same rows with faces where they are believed to stand."""
+    """Rows bound with faces at their believed positions."""
     x, slots = bound.x0 + bound.start_std * belief.mean, list(bound.slots)
     for k, slot in enumerate(slots):
         if slot.datum and slot.unknown.nominal_plane(slot.nominal) is not None:
@@ -381,7 +381,7 @@ def _bound(
 
 
 def _with_starts(bound: BoundProblem) -> BoundProblem:
-    """The same where a flat prior is as wide as filters start it: few touches leave no direction without an end."""
+    """Problem with flat priors as wide as a filter's start, so that few touches leave the covariance finite."""
     flat = np.flatnonzero(~np.isfinite(bound.prior_std))
     names = tuple(bound.names[j] for j in flat)
     return bound.with_known(Gaussian(names, bound.x0[flat], np.diag(bound.start_std[flat] ** 2)))
@@ -454,7 +454,7 @@ class LinearRows:
         return LinearRows(*(np.delete(part, k, axis=0) for part in (self.residual, self.slope, self.noise)))
 
     def told(self, mean: Array) -> ShiftedBelief:
-        """What they tell together, with the unit prior about -mean of the shift."""
+        """Posterior of the shift, with a unit prior about -mean."""
         r, j = self.residual.ravel(), self.slope.reshape(-1, mean.size)
         information, gradient = np.eye(mean.size) + j.T @ j, j.T @ r + mean
         covariance: Array = np.asarray(np.linalg.inv(information), dtype=np.float64)

@@ -226,7 +226,7 @@ class Session(Value):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What the belief is about."""
+        """Names of the unknowns of the belief."""
         return () if self.state.known is None else self.state.known.bound.names
 
     @property
@@ -275,7 +275,7 @@ class Session(Value):
 
     @cached_property
     def weights(self) -> Array | None:
-        """Of the squared tip error as a sum of squares of unit normals, mm^2."""
+        """Weights of the squared tip error as a sum of squares of unit normals, mm^2."""
         known = self.state.known
         return None if known is None or self.field is None else spectrum(known.belief.root, self.field)
 

@@ -26,7 +26,7 @@ STEEPEST = 0.5  # slope (order times amplitude) from which a gear wave is none: 
 
 @dataclass(frozen=True, kw_only=True)
 class Disturbances:
-    """What disturbs a simulated arm and its measurements, whatever measures it; lengths mm, angles rad.
+    """Disturbances of a simulated arm and its measurements, for any instrument; lengths mm, angles rad.
 
     Args:
         repeatability: standard deviation of the reading (or of the touch, without a dial); None takes the instrument's.
@@ -123,7 +123,7 @@ class Face:
 
 @dataclass(frozen=True, kw_only=True)
 class Cell(Disturbances, Surroundings):
-    """What surrounds and what disturbs a simulated arm that touches faces; lengths mm, angles rad.
+    """Surroundings and disturbances of a simulated arm that touches faces; lengths mm, angles rad.
 
     Args:
         faces: what is touched, in turn.

@@ -77,7 +77,7 @@ def waved(waves: Sequence[GearWave], joints: Array) -> Array:
 
 
 def unwaved(waves: Sequence[GearWave], joints: Array) -> Array:
-    """What the controller says (N, n) where joints stand at `joints`: the inverse of `waved`."""
+    """Controller joint values (N, n) at true joint values `joints`: the inverse of `waved`."""
     said = joints
     for _ in range(ROUNDS if waves else 0):
         said, before = joints - (waved(waves, said) - said), said
@@ -110,7 +110,7 @@ def weighed(touch: TouchingArm, joints: Array, readings: Array) -> float:
 
 
 def gross_errors(cell: Disturbances, count: int, rng: np.random.Generator) -> Array:
-    """What gross rows add to their readings (N,), once to twice the size of an outlier; zero for the others."""
+    """Gross errors added to readings (N,), one to two outlier sizes; zero for other rows."""
     gross = rng.random(count) < cell.outliers
     return np.asarray(gross * rng.choice([-1.0, 1.0], size=count) * cell.outlier_size * rng.uniform(1, 2, count))
 

@@ -100,7 +100,7 @@ FIRST = "first"  # what a simulated session is called, as are other labels that 
 
 @dataclass(frozen=True)
 class _Contact:
-    """What one session's touches meet: faces of a form, lifted by errors of touch, under an arm that grows.
+    """Contact in one session: faces with form errors, errors of touch, thermal growth of the arm.
 
     lift: by how much each touch stands above its face (N,; mm). forms: a seed for the form of each face. growth: times
     (N,) that the tip is further from the base.
@@ -137,7 +137,7 @@ class _Contact:
         )
 
     def there(self, standing: Array, readings: Array) -> tuple[Array, Array, Rows]:
-        """What is added to given joints until the tip touches (N, n), where the plunger stands (N,), and which touch.
+        """Joint corrections until contact (N, n), plunger positions (N,), and which touches succeeded.
 
         standing: joints (N, n) as they truly stand. readings: expected ones (N,); where the dial would be near an end
         of its travel, the arm is moved until it reads about that, as operators do. Faces reach as far as anybody asks.
@@ -157,7 +157,7 @@ class _Contact:
         return moved, ways_in, met & self.touch.within_limits(standing + moved)[1]
 
     def again(self, joints: Array, readings: Array, standing: Array) -> tuple[Array, Array]:
-        """What rows add to the joints of their place's first touch (N, n), and where the plunger stands (N,).
+        """Joint offsets of repeats from the first touch at their place (N, n), and plunger positions (N,).
 
         joints, readings: of the first touch of each place. standing: joints (N, n) as they stand with the same said.
         """
@@ -171,7 +171,7 @@ class _Contact:
         return moved, ways_in
 
     def _met(self, standing: Array, readings: Array, normals: Array, heights: Array) -> tuple[Array, Array]:
-        """What is added to joints (N, n) until the tip is at its height, and where the plunger then stands (N,).
+        """Joint corrections (N, n) that bring the tip to its height, and plunger positions (N,).
 
         A plunger makes up for joints that stand elsewhere; a tool without one moves on until it touches.
         """
@@ -346,7 +346,7 @@ class Simulation(Value):
         return x
 
     def of(self, instrument: str) -> Simulation:
-        """The same arm with one of several instruments; raises UnknownNameError where none is called so."""
+        """The true arm with one of several instruments; raises UnknownNameError for an unknown one."""
         return self.parts[self.problem.number(instrument)] if self.parts else self
 
     def true_tips(self, joints: Array, *, readings: Array | None = None, when: Array | float = 0.5) -> Array:

@@ -204,7 +204,7 @@ def true_unknowns(problem: Problem, probe: Probe, error_scale: float, rng: np.ra
 
 @dataclass(frozen=True)
 class Draw:
-    """What is drawn at random: an arm by its seed, and one of several sessions in which it is measured.
+    """Random draw: an arm by its seed, and one of the sessions in which it is measured.
 
     known: true local coordinates that stand already, by key, such as those of the same arm in another session.
     nominals: the same of nominal values, where others than those of a simulation are meant.
@@ -400,13 +400,13 @@ def default_cell(problem: Problem, *, table: float = 0.0) -> Cell:
 
 
 def _moved(cell: Cell, height: float, up: Sequence[float] | Array = (0.0, 0.0, 1.0)) -> Cell:
-    """The same moved along a direction (3) until its lowest corner is at a height, mm."""
+    """Face moved along a direction (3) until its lowest corner is at a height, mm."""
     lift = (height - min(face.lowest for face in cell.faces)) / up[2] * np.asarray(up)
     return replace(cell, faces=tuple(replace(face, centre=triple(face.centre + lift)) for face in cell.faces))
 
 
 def _lifted(cell: Cell, table: float, up: Sequence[float] | Array = (0.0, 0.0, 1.0)) -> Cell:
-    """The same above a table, moved along a direction (3) as far as that takes."""
+    """Face moved along a direction (3) until it is above a table."""
     cell = replace(cell, table=table)
     return _moved(cell, table, up) if min(face.lowest for face in cell.faces) < table else cell
 

@@ -58,7 +58,7 @@ class SimulatedTrial:
         }
 
     def detail(self, result: Result) -> dict[str, Any]:
-        """What only the first trial keeps: estimate and spread by name, tip errors at the held-out touches."""
+        """Detail of the first trial: estimate and spread by name, tip errors at held-out touches."""
         touches = self.heldout.block.samples
         joints, true, _ = self._workspace
         tips = self.problem.tips(result.x, joints)

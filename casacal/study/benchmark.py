@@ -56,7 +56,7 @@ class Published:
 
 @dataclass(frozen=True)
 class BenchmarkSet:
-    """What set.toml says.
+    """Description of a public data set, as set.toml holds it.
 
     metric: "distance" is the root mean square of the length of a row's residual, "position" that of its first three
     components, "rms" that of all components.
@@ -207,7 +207,7 @@ class Fold:
     quick: bool = False
 
     def trial(self, seed: int) -> FoldTrial:
-        """The same whatever the seed: the split has its own."""
+        """Trial of this set; the seed is ignored, as the split has its own."""
         del seed
         problem = self.bench.problem
         samples = self.bench.read(self.data, problem, quick=self.quick)
@@ -270,7 +270,7 @@ Way = Callable[[Problem, Samples, Samples], Array | Told]
 
 
 def estimate(metered: Any, way: Way) -> Result:
-    """What a method leaves of the unseen rows, in place of a trace."""
+    """Residuals of a method on unseen rows, in place of a trace."""
     problem: UnseenToo = metered.problem  # what the harness counts evaluations of
     told = way(problem.arm, problem.fitted, problem.unseen)
     told = told if isinstance(told, Told) else Told(told, "")
@@ -356,7 +356,7 @@ def _row(run: Run, each: BenchmarkSet, method: str) -> list[str]:
 
 
 def root_mean_square(squares: Array, rows: Array) -> Interval:
-    """Of sums of squares and numbers of rows of folds, with its bootstrap interval over them, of one alone not numbers.
+    """RMS from sums of squares and row counts of folds, with a bootstrap interval over folds (NaN for one fold).
 
     Not a number where there is no fold, or a figure of one is none.
     """

@@ -155,7 +155,7 @@ _CHECKED = re.compile(rb',"check":"([0-9a-f]{16})"}$')
 
 
 def key_of(record: Mapping[str, Any]) -> Key:
-    """What determines a record: the fingerprint of setting, method, seed and code; and the trial."""
+    """Key of a record: fingerprint of setting, method, seed and code, and the trial's number."""
     return str(record["fingerprint"]), int(record["trial"])
 
 
@@ -336,13 +336,13 @@ class Trial(Protocol):
 
     @property
     def problem(self) -> LeastSquares:
-        """What every method gets."""
+        """Problem given to every method."""
 
     def judge(self, result: Result) -> Mapping[str, float]:
         """Figures of merit by name; called by the harness, untimed."""
 
     def detail(self, result: Result) -> Mapping[str, Any]:
-        """What the first trial keeps besides: numbers, texts and lists of them."""
+        """Further data that the first trial keeps: numbers, texts and lists of them."""
 
 
 class Setting(Protocol):
@@ -424,7 +424,7 @@ class Study:
 
 @dataclass(frozen=True)
 class Run:
-    """What a report is made from: the study, its records in order, and the folder for its pictures."""
+    """Records of a study, in order, with the folder for its report's pictures."""
 
     study: Study | None
     records: tuple[Record, ...]
@@ -451,7 +451,7 @@ class Run:
         return np.array([np.nan if value is None else value for value in found], dtype=np.float64)
 
     def failures(self, setting: str, method: str) -> list[str]:
-        """What the failures of a method in a setting said."""
+        """Error messages of a method in a setting."""
         return [record["error"] for record in self.of(setting, method) if record["error"] is not None]
 
     @property

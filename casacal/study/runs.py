@@ -222,7 +222,7 @@ def _records(name: str, errand: Errand, seconds: float, workers: int, stopped: C
 def _heard(
     errand: Errand, seconds: float, workers: int, stopped: Connection
 ) -> tuple[list[Record | None], Record | None]:
-    """What a process says of a task: None once it has read the study, None once a trial is made, and the records.
+    """Messages of a worker on a task: None after reading the study, None after making a trial, then the records.
 
     And how it ended where it did not say all; no end when the run is stopped.
     """

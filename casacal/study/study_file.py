@@ -59,7 +59,7 @@ def load_study(path: str | Path) -> StudyFile:
 
 
 def names_of(file: Path) -> dict[str, Any]:
-    """What a user's file defines, by name; raises CasacalError when it raises.
+    """Names defined by a user's file, with their values; raises CasacalError when the file raises.
 
     It is imported by its dotted name where it is part of a package, else on its own beside its neighbours.
     """
@@ -101,7 +101,7 @@ PACKAGES = ("casacal", "casadi", "numpy", "scipy")
 
 
 def machine(workers: int = 1, *, cluster: bool = False) -> dict[str, Any]:
-    """What a run was made on: processors, system, Python, packages, processes at once, or that a cluster was asked."""
+    """Machine of a run: processors, system, Python, packages, processes, or cluster."""
     return {
         "processor": _processor(),
         "cpus": os.cpu_count(),

@@ -25,7 +25,7 @@ from casacal.values import Array
 
 
 class Metered(LeastSquares):
-    """The same problem, with counters: rows of residuals and of Jacobians, and the best objective so far.
+    """Problem that counts residual and Jacobian rows and keeps the best objective so far.
 
     best: one (residual rows, Jacobian rows, objective) each time an estimator evaluates a lower objective.
     used_graph: whether a symbolic form was taken, beyond which nothing can be counted here.
@@ -185,7 +185,7 @@ CANDIDATES = 64  # states evaluated at once while warming up: what population me
 
 
 def heads(study: str, task: Task) -> list[Record]:
-    """What the records of a task say of where they come from."""
+    """Provenance in the records of a task."""
     shared = {"study": study, "setting": task.setting, "trial": task.trial}
     return [
         {**shared, "method": method, "fingerprint": key}
@@ -222,14 +222,14 @@ def perform(study: Study, task: Task) -> list[Record]:
 
 
 def _caught() -> tuple[type[BaseException], ...]:
-    """What a method may raise that is a failure of its own: in a process that no keyboard reaches, everything."""
+    """Exceptions that count as a method's own failure: all of them, in a worker without keyboard."""
     if multiprocessing.parent_process() is not None:
         return (BaseException,)
     return (Exception, SystemExit)
 
 
 def _state(problem: LeastSquares) -> list[Array]:
-    """What methods see of a problem, to be compared."""
+    """State of a problem as methods see it, for comparison."""
     with np.errstate(all="ignore"):
         return [problem.x0.copy(), problem.prior_std.copy(), problem.start_std.copy(), problem.residual(problem.x0)]
 

@@ -17,7 +17,7 @@ from casacal.values import Array, FrozenMapping
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """What rows say where everything is linear: J'J (n, n), J'y (n,) and y'y, whitened."""
+    """Normal equations of linear rows, whitened: J'J (n, n), J'y (n,) and y'y."""
 
     information: Array
     toward: Array
@@ -30,12 +30,12 @@ class NormalEquations:
         )
 
     def with_noise(self, times: float) -> NormalEquations:
-        """The same of rows whose noise is some times as large."""
+        """Normal equations of rows with noise scaled by a factor."""
         return NormalEquations(self.information / times**2, self.toward / times**2, self.square / times**2)
 
     @staticmethod
     def of(slopes: Array, heights: Array) -> NormalEquations:
-        """Of rows J (m, n) and y (m,)."""
+        """Normal equations of rows J (m, n) and y (m,)."""
         return NormalEquations(slopes.T @ slopes, slopes.T @ heights, float(heights @ heights))
 
 

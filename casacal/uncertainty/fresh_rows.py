@@ -165,7 +165,7 @@ def chances(chi_square: Array, freedom: Array | float, noise_freedom: float = ma
 
 
 def chance(chi_square: float, freedom: int, noise_freedom: float = math.inf) -> float:
-    """The same of one number."""
+    """Probability of so much or more; scalar form of `chances`."""
     return float(chances(np.asarray(chi_square), freedom, noise_freedom))
 
 
@@ -213,6 +213,6 @@ def likelihood(chi_square: float, freedom: int, noise_freedom: float = math.inf)
 
 
 def occam(columns: Array, sizes: Array) -> float:
-    """What freedom costs in the logarithm of the evidence: half the log-determinant of I + S A'A S."""
+    """Occam factor in the log evidence: half the log-determinant of I + S A'A S."""
     scaled = columns * sizes
     return float(np.linalg.slogdet(np.eye(scaled.shape[1]) + scaled.T @ scaled)[1]) / 2

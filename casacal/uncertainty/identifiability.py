@@ -84,7 +84,7 @@ class Identifiability:
         return sum(direction.kind == kind for direction in self.null)
 
     def without_tips(self) -> Identifiability:
-        """The same directions, without what they do to the tip: NaN."""
+        """Directions with their tip motion set to NaN."""
         null = tuple(replace(each, tip_mm=math.nan) for each in self.null)
         weak = tuple(replace(each, tip_mm=math.nan) for each in self.weak)
         return replace(self, null=null, weak=weak)
@@ -192,7 +192,7 @@ def sparse_basis(basis: Array) -> Array:
 
 
 def known_from(posterior_std: float, prior_std: float) -> KnownFrom:
-    """What determined a parameter: the samples (posterior/prior std < 0.5), both (to 0.95), or its prior alone."""
+    """Source of a parameter's value: samples (posterior/prior std < 0.5), both (to 0.95), or prior alone."""
     if not np.isfinite(posterior_std):
         return "prior alone"
     ratio = posterior_std / prior_std if np.isfinite(prior_std) else 0.0

@@ -71,7 +71,7 @@ NORMAL_95 = 1.959964  # quantile of the normal distribution for 95 %
 
 
 class CalibrationFit(Protocol):
-    """What a calibration has that was made in this process."""
+    """Protocol of a calibration made in this process."""
 
     @property
     def fit(self) -> BoundProblem:
@@ -162,7 +162,7 @@ def learned_priors(calibrations: Iterable[CalibrationFit]) -> LearnedPriors:
 
 @dataclass(frozen=True)
 class _Arm:
-    """What the rows of one arm say where its fit stands, its prior's information (n,), and whose units are where."""
+    """One arm's normal equations at its fit, prior information (n,), and its unknowns by unit."""
 
     fit: BoundProblem
     rows: NormalEquations
@@ -191,7 +191,7 @@ class _Arm:
         return evidence(self.rows, np.diag(self.scaled(times)))
 
     def moved(self, times: Mapping[str, float]) -> _Arm:
-        """The same rows where the fit stands under that prior: a fit under a tight one is bent."""
+        """Rows relinearised at the fit under that prior."""
         posterior = self.rows.information + np.diag(self.scaled(times))
         x: Array = np.asarray(np.linalg.solve(posterior, self.rows.toward), dtype=np.float64)
         return replace(self, rows=told(self.fit, x))

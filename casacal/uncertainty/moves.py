@@ -71,7 +71,7 @@ MOST_ROWS = 20_000  # rows that the scatter is worked out from; more add memory,
 
 @dataclass(frozen=True, eq=False)
 class PriorScatter:
-    """What prior errors of the arm and the noise predict for the residuals of the drawn arm, planes fitted.
+    """Predicted residual scatter of the nominal arm, planes fitted, under prior errors and noise.
 
     Their mean square is a sum of chi-squares, mm^2: of what size each (m,), and of how many degrees of freedom (m,).
     """

@@ -87,7 +87,7 @@ def _settled_by_face(bound: BoundProblem, result: Result, scale: Mapping[str, fl
 
 
 def noise_over_stated(result: Result) -> Noise:
-    """What the residuals of a fit show over the noise as stated, whatever factors it was used with."""
+    """Ratio of residual noise to stated noise, independent of the factors in use."""
     bound = result.problem
     assert isinstance(bound, BoundProblem)
     scale = bound.scale
@@ -165,7 +165,7 @@ EXACT = 1e-18  # variance of repeats over that between places, below which they 
 
 @dataclass(frozen=True)
 class PureError:
-    """What repeated touches say of the noise; all ratios are over what was stated."""
+    """Pure error from repeated touches; all ratios are to the stated noise."""
 
     places: int
     """Postures that were touched more than once."""
@@ -284,7 +284,7 @@ def with_joints(whole: BoundProblem, found: BoundProblem) -> Iterator[BoundProbl
 
 
 def repeats_to(bound: BoundProblem) -> float:
-    """What joints do not repeat, as it was found, rad; zero where it was not told from other noise."""
+    """Joint repeatability as found, rad; zero where it is indistinguishable from other noise."""
     return bound.scale.get(REPEATABILITY, 0.0)
 
 

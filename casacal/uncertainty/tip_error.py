@@ -146,7 +146,7 @@ def spread_rms(covariance: Array, tip_jacobian: Array, tips: Array, off: Array |
 
 
 def classical_bound(jacobian: Array, scale: Array, tip_jacobian: Array, tips: Array) -> tuple[float, int]:
-    """The same without any prior, H F^+ H', and how many directions that move a tip the data do not see.
+    """Bound without any prior, H F^+ H', and the number of unobservable directions that move a tip.
 
     Infinite when there is such a direction. Of the whitened Jacobian (rows, n), its columns in units of `scale` (n,).
     """
@@ -175,7 +175,7 @@ def flange_jacobian(bound: Seen, x: Array, joints: Array) -> tuple[Array, Array]
 
 
 def natural_scale(problem: LeastSquares) -> Array:
-    """What counts as a small change of each unknown (n,), whatever its prior: 1 mrad, 1 mm."""
+    """Natural scale of each unknown (n,), independent of its prior: 1 mrad, 1 mm."""
     return np.array([NATURAL_UNITS.get(unit, 1.0) for unit in problem.units])
 
 
@@ -204,7 +204,7 @@ def expected_accuracy(
     flange: bool = False,
     covariance: Array | None = None,
 ) -> tuple[float, float]:
-    """The same at x (n,), or of the flange's origin; `off` as for `tip_stds`, `usual` as for `Block.posture`.
+    """Expected accuracy at x (n,), of tip or flange origin; `off` as for `tip_stds`, `usual` as for `Block.posture`.
 
     covariance: (n, n) of an estimate that does not count all rows alike; by default what rows and prior give.
     """

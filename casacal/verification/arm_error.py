@@ -27,7 +27,7 @@ SMALLEST = 1e-300
 
 @dataclass(frozen=True)
 class Scatter:
-    """What rows say of the mean square of an arm's error; all squares in mm^2.
+    """Estimate of the mean square of an arm's error; all squares in mm^2.
 
     square: mean square of the residuals, the freedom that the rows' own unknowns absorbed given back. noise: of it the
     instrument's own, the least there is. most: the most of it that may be the instrument's. freedom: nu.
@@ -195,7 +195,7 @@ class PartError:
 
 @dataclass(frozen=True, eq=False)
 class VisibleError:
-    """What some fresh rows see of the arm's error.
+    """The arm's error as some fresh rows observe it.
 
     fresh: the rows, and the arm. kept: which of the residuals (k,) count. quieter: part of the stated noise, as a
     standard deviation, that the rows let stand.
@@ -243,7 +243,7 @@ class VisibleError:
 
     @cached_property
     def most(self) -> Array:
-        """The same of noise as the calibration used it."""
+        """Square (k,) of the noise as the calibration used it that is left, mm^2."""
         return self._left(self.used**2, 1.0)
 
     def _left(self, squares: Array, guess: float) -> Array:
@@ -266,7 +266,7 @@ class VisibleError:
         return np.asarray(plain[:count] * self.used)
 
     def scatter(self, residual: Array, rows: NDArray[np.intp] | None = None) -> Scatter | None:
-        """What residuals (k,), mm, say of the arm's error, of all or some rows; None where they say nothing."""
+        """Scatter of residuals (k,), mm, of all or some rows; None where they do not observe the error."""
         counts = self._counted(rows)
         places, which = np.unique(self.sample_of[counts], return_inverse=True)
         if not places.size:
@@ -316,7 +316,7 @@ class VisibleError:
 
 
 def seen_by_rows(arm: CalibratedArm, fresh: Fresh, without: NDArray[np.intp] | None = None) -> VisibleError:
-    """What fresh rows see of the arm's error, all of them or without some residuals.
+    """The arm's error as fresh rows observe it, all of them or without some residuals.
 
     Part of the stated noise may not be taken off, as it would hide the arm's error, where it was surely stated too
     large. The calibration says so by what it found over what was stated, and the fresh rows by residuals that are too

@@ -47,7 +47,7 @@ class FaceVerification:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Verification(Value):
-    """What `verify` returns: whether the promise was kept, with every figure behind it.
+    """Result of `verify`: whether the promise was kept, with every figure behind it.
 
     A row's residual is its distance from the face, mm, or the length of its error where a row has several residuals.
 
@@ -119,13 +119,13 @@ class Verification(Value):
 
     @property
     def measurand(self) -> str:
-        """What the error is of, and that it is no more than that."""
+        """Measurand of the error, and its limits."""
         if self.accuracy:
             return "error of the tip, all three axes, where it was measured"
         return f"error as seen by these {self.things}" + (f" ({self.sees})" if self.sees != "residual" else "")
 
     def summary(self, *, whole: bool = True) -> str:
-        """What `casacal verify --verbose` prints, or without `whole` what it prints at first: a paragraph each line."""
+        """Report of `casacal verify --verbose`, or its brief form without `whole`; one paragraph a line."""
         return "\n".join(_told(self, whole=whole))
 
     def to_dict(self) -> dict[str, Any]:
@@ -148,7 +148,7 @@ class Verification(Value):
         return rendered("verification.html", {"title": title, "part_of_report": False, **_context(self)})
 
     def section(self) -> str:
-        """The same as a section of the calibration's own report: what `casacal verify --into-report` puts there."""
+        """Section for the calibration's report, as `casacal verify --into-report` inserts it."""
         return rendered("verified.html", {"part_of_report": True, **_context(self)})
 
     def __repr__(self) -> str:
@@ -157,12 +157,12 @@ class Verification(Value):
         return f"<Verification of {self.judged.robot} by {self.judged.rows} fresh rows: promise {said}, p {p:.3g}>"
 
     def _repr_html_(self) -> str:
-        """What `summary` says: what a notebook shows."""
+        """`summary` for notebooks."""
         return "".join(f"<p>{escape(words)}</p>" for words in _told(self, whole=False))
 
 
 def _context(found: Verification) -> dict[str, Any]:
-    """What the templates show."""
+    """Context of the templates."""
     undecided = found.kept and found.decision is not None and found.decision.verdict == "undecided"
     faces = []
     for face in found.faces:
@@ -274,7 +274,7 @@ def _interval(part: PartError) -> str:
 
 
 def _noise(found: Verification) -> str:
-    """What was taken off as noise, and whose error the rest is."""
+    """Sentence on the noise removed, and on whose error remains."""
     said = f"Noise removed: {found.noise_mm:.3g} mm"
     if found.noise_mm * WORTH_SAYING < found.noise_stated_mm:
         return f"{said}. The problem states {found.noise_stated_mm:.3g}, but the residuals are too small for that much."
@@ -341,7 +341,7 @@ def _limits(decision: Decision) -> str:
 
 
 def _vouches(found: Verification) -> str:
-    """What residuals mean, and what they leave open."""
+    """Sentence on what residuals mean and leave open."""
     seen = f"These rows determine {found.seen} of the arm's {found.unknowns} unknown directions better than the priors"
     if found.accuracy:
         what = "These are errors of the tip itself where it was measured, apart from the position of the base"
@@ -359,7 +359,7 @@ def _vouches(found: Verification) -> str:
 
 
 def _next(found: Verification) -> list[str]:
-    """What to do where the rows are not as promised, by what is seen of them."""
+    """Next step where rows contradict the promise, by the pattern of their residuals."""
     if found.kept and (found.decision is None or found.decision.verdict != "reject"):
         return []
     bad = [face.label for face in found.faces if face.p < LEVEL / 2]
