@@ -18,7 +18,7 @@ BESIDE = (
     "studies/*.py",
     "problems/*/*.*",
     "casacal/**/*.py",
-    "tests/*.py",
+    "tests/**/*.py",
     "LICENSE",
     "CITATION.cff",
 )

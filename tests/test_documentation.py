@@ -1,5 +1,6 @@
 """Documents tell the truth: what README and docs show is run, links lead somewhere, pages list what there is."""
 
+import ast
 import io
 import json
 import re
@@ -132,6 +133,18 @@ def test_a_notebook_is_kept_without_outputs_and_its_links_lead_somewhere(path):
     assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells)
     for target in re.findall(r"\]\(([^)\s#]+)\)", "".join("".join(cell["source"]) for cell in cells)):
         assert target.startswith("https:") or (path.parent / target).exists(), target
+
+
+def test_the_site_holds_whatever_documents_link_to():
+    """The hook of the site names by patterns what it holds; a link to anything else breaks its strict build."""
+    tree = ast.parse((ROOT / "docs" / "mirror.py").read_text(encoding="utf-8"))
+    lists = [node.value for node in tree.body if isinstance(node, ast.Assign) and isinstance(node.value, ast.Tuple)]
+    assert len(lists) == 2
+    held = {path for each in lists for pattern in ast.literal_eval(each) for path in ROOT.glob(pattern)}
+    for document in held:
+        if document.suffix == ".md":
+            for link in re.findall(r"\]\((\.?[\w./-]+\.\w+)(?:#[\w-]*)?\)", document.read_text(encoding="utf-8")):
+                assert (document.parent / link).resolve() in held, f"{document.name}: {link}"
 
 
 def test_the_page_of_public_names_is_what_is_exported():
