@@ -1,6 +1,7 @@
 """The core stands alone: without any leaf it binds, fits with every estimator, agrees with IPOPT and runs a study."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -84,20 +85,37 @@ def python(place, *arguments):
     return found.stdout
 
 
-def test_the_lists_say_which_is_core_and_which_is_leaf():
-    assert {"model", "data", "kernels", "fit", "uncertainty", "study"} == CORE
-    assert {"effects", "simulation", "planning", "calibration", "verification", "cli"} <= set(LEAVES)
-
-
 def test_the_core_runs_without_any_leaf(tmp_path):
     place = without(LEAVES, tmp_path)
     assert not (place / "casacal" / "calibration").exists()
     assert python(place, "-c", f"LEAVES = {LEAVES!r}\n{RUN}").strip() == "alone"
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("leaf", [name for name in LEAVES if name not in ("cli", "__main__")])
-def test_a_leaf_can_be_deleted_with_its_command(leaf, tmp_path):
-    """The leaf goes with what stands on it; the core then still runs, whatever else is left."""
-    place = without([leaf, *(["cli", "__main__"])], tmp_path)
-    assert python(place, "-c", f"LEAVES = {LEAVES!r}\n{RUN}").strip() == "alone"
+LAST = {"verification": "verify", "shopfloor": "measure", "doctor": "doctor", "changes": "changed"}
+"""Leaves on which no other leaf stands, and their commands."""
+
+REST = """
+import pathlib, pkgutil, importlib
+import casacal
+from casacal.cli.main import COMMANDS, main
+
+for module in pkgutil.walk_packages(casacal.__path__, "casacal."):
+    if not module.name.endswith("__main__"):
+        importlib.import_module(module.name)
+assert main(["--help"]) == 0
+assert main(["calibrate", PROBLEM]) == 0
+"""
+
+
+@pytest.mark.long_unless("doctor-doctor")
+@pytest.mark.parametrize(("leaf", "command"), LAST.items())
+def test_a_leaf_can_be_deleted_with_its_command(leaf, command, tmp_path):
+    """Of all that is left every module imports, `--help` lists the other commands, and `calibrate` works."""
+    place = without([leaf, f"cli/{command}"], tmp_path)
+    main = place / "casacal" / "cli" / "main.py"
+    text = main.read_text(encoding="utf-8")
+    assert text.count(f'    "{command}",\n') == 1
+    main.write_text(text.replace(f'    "{command}",\n', ""), encoding="utf-8")
+    said = python(place, "-c", f"PROBLEM = {str(ROOT / 'problems' / 'hsr_jr680')!r}\n{REST}")
+    assert "calibrate the arm from samples" in said
+    assert not re.search(rf"^ +{command} ", said, re.M)
