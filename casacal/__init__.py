@@ -1,30 +1,28 @@
 """casacal: calibrate a robot arm with a dial indicator and a flat face.
 
-Public names stand in `__init__.pyi`, for type checkers and for this module. Each is imported when first used, so that
-`casacal --help` does not wait for CasADi.
-
-One thread imports at a time: Python gives up where two enter one package by different doors, SciPy's included. The lock
-cannot hang, as no module of casacal asks for a public name while it is imported.
+Here stands what a first problem and its calibration need; the rest is public in the chapters (`casacal.fit`,
+`casacal.study`, ...). `__init__.pyi` lists both. Each is imported when first used.
 """
 
-import re
-from importlib import import_module
-from pathlib import Path
-from threading import RLock
+import warnings
 from typing import Any
 
-_STUB = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
-_HOME = {name: module for module, name in re.findall(r"^from (\S+) import \w+ as (\w+)$", _STUB, re.MULTILINE)}
-_IMPORTING = RLock()
-__all__ = sorted(_HOME.keys() - {"__version__"})
+from casacal.public import homes, on_demand
+
+_HOMES = homes(__name__)
+_public = on_demand(__name__, _HOMES)
+__all__ = sorted(name for name, home in _HOMES.items() if home and name != "__version__")
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'casacal' has no attribute '{name}'")
-    with _IMPORTING:
-        return getattr(import_module(_HOME[name]), name)
+    if name not in _HOMES and not name.startswith("_"):  # earlier public names, for one version
+        for chapter in (chapter for chapter, home in _HOMES.items() if not home):
+            if name in getattr(_public(chapter), "__all__", ()):
+                message = f"casacal.{name} is now casacal.{chapter}.{name}"
+                warnings.warn(message, DeprecationWarning, stacklevel=2)
+                return getattr(_public(chapter), name)
+    return _public(name)
 
 
 def __dir__() -> list[str]:
-    return sorted(_HOME)
+    return sorted(_HOMES)

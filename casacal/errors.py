@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable
 from difflib import get_close_matches
 
+__all__ = ["ProblemError", "RefusedResultError", "SamplesError", "SimulationError", "StudyError"]
 LONGEST = 1000  # letters of a refusal that anybody reads
 
 

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from casacal.errors import CasacalError
-from casacal.version import __version__
+from casacal.public import __version__
 
 MADE = f"written by casacal {__version__}"
 """What every file that casacal writes says of itself: in a comment near its beginning or at its end, or as follows."""

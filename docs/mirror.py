@@ -40,10 +40,12 @@ def on_files(files: Files, *, config: MkDocsConfig) -> Files:
 def api_pages(root: Path) -> Iterator[tuple[str, str]]:
     """A page for each section of the public names: name of the page, and its text for mkdocstrings."""
     names = (root / "docs" / "public.md").read_text(encoding="utf-8").split("## Modules")[0]
-    for section in names.split("\n### ")[1:]:
+    for section in re.split(r"\n###? ", names)[1:]:
         title, _, table = section.partition("\n")
-        entries = [f"::: casacal.{name}\n" for name in re.findall(r"^\| `(\w+)` \|", table, re.M)]
-        yield title.lower().replace(",", "").replace(" ", "_"), f"# {title}\n\n" + "\n".join(entries)
+        home = title.strip("`") if title.startswith("`casacal.") else "casacal"
+        if entries := [f"::: {home}.{name}\n" for name in re.findall(r"^\| `(\w+)` \|", table, re.M)]:
+            page = title.strip("`").removeprefix("casacal.").lower().replace(",", "").replace(" ", "_")
+            yield page, f"# {title}\n\n" + "\n".join(entries)
 
 
 def on_page_content(html: str, *, page: Page, config: MkDocsConfig, files: Files) -> str:

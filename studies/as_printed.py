@@ -13,8 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from casacal import BoundProblem, DialOnPlane, Problem, Run, bind, load_problem, plate, simulate
+from casacal import DialOnPlane, Problem, bind, load_problem, plate, simulate
+from casacal.fit import BoundProblem
 from casacal.linalg import tria
+from casacal.study import Run
 from casacal.uncertainty.figures import residual_figures
 from studies import reporting
 from studies.reporting import script

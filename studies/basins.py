@@ -13,7 +13,10 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import binomtest
 
-from casacal import Method, Run, Simulated, Study, ipopt, lm, load_problem, plate, scipy_least_squares, sckf_lm
+from casacal import ipopt, lm, load_problem, plate, sckf_lm
+from casacal.fit import scipy_least_squares
+from casacal.simulation import Simulated
+from casacal.study import Method, Run, Study
 from casacal.study.statistics import holm, mean_interval, paired, quantiles, success_rate
 from studies import rivals
 from studies.paper_pictures import COLOURS, base

@@ -7,19 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from casacal import (
-    BoundProblem,
-    Cell,
-    DialOnPlane,
-    Problem,
-    Samples,
-    Simulation,
-    bind,
-    load_problem,
-    simulate,
-    tool_point,
-)
+from casacal import Cell, DialOnPlane, Problem, Samples, bind, load_problem, simulate, tool_point
 from casacal.data.columns import Labels
+from casacal.fit import BoundProblem
+from casacal.simulation import Simulation
 from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 from studies.reporting import PROBLEMS
 

@@ -12,12 +12,14 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from casacal import Cell, ProblemFile, Run, calibrate, load_problem, simulate
+from casacal import Cell, calibrate, load_problem, simulate
 from casacal.calibration.fresh import opened, with_memory
 from casacal.changes.explain import SURE, Look, contenders, explanations
 from casacal.deployment.arm import CalibratedArm
+from casacal.model import ProblemFile
 from casacal.simulation.simulate import simulate_one
 from casacal.simulation.touches import Draw
+from casacal.study import Run
 from casacal.study.statistics import success_rate
 from studies import reporting
 from studies.reporting import script

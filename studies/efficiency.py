@@ -11,7 +11,9 @@ import dataclasses
 
 import numpy as np
 
-from casacal import Problem, Run, Simulated, Study, load_problem
+from casacal import Problem, load_problem
+from casacal.simulation import Simulated
+from casacal.study import Run, Study
 from casacal.study.statistics import mean_interval
 from studies import rivals
 from studies.reporting import PROBLEMS, script, table

@@ -13,8 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from casacal import BoundProblem, Cell, Method, Problem, Result, Run, Simulation, Study, bind, calibrate
+from casacal import Cell, Problem, bind, calibrate
 from casacal.calibration.verdict import verdict_of
+from casacal.fit import BoundProblem, Result
+from casacal.simulation import Simulation
+from casacal.study import Method, Run, Study
 from casacal.study.statistics import success_rate
 from studies.cell_mistakes import MISTAKES, NONE, robots, simulated, tip_errors, with_travel
 from studies.reporting import figure, number, percent, save, script, table

@@ -12,21 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from casacal import (
-    BoundProblem,
-    Cell,
-    DialOnPlane,
-    Face,
-    Problem,
-    Run,
-    Step,
-    bind,
-    corner,
-    load_problem,
-    plate,
-    simulate,
-)
+from casacal import Cell, DialOnPlane, Face, Problem, Step, bind, corner, load_problem, plate, simulate
+from casacal.fit import BoundProblem
 from casacal.linalg import posterior_covariance
+from casacal.study import Run
 from casacal.uncertainty.identifiability import identifiability
 from casacal.uncertainty.tip_error import (
     bayesian_bound,

@@ -13,11 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from casacal import Method, Problem, Result, Run, Simulated, Study, lm, load_problem
+from casacal import Problem, lm, load_problem
 from casacal.calibration.verdict import NOISE_BAND
+from casacal.fit import Result
 from casacal.kernels.losses import huber
+from casacal.simulation import Simulated
 from casacal.simulation.cell import flatness_din_876
 from casacal.simulation.trials import SimulatedTrial
+from casacal.study import Method, Run, Study
 from casacal.study.statistics import mean_interval, paired, quantiles, success_rate
 from casacal.uncertainty.figures import noise_interval
 from studies import rivals

@@ -24,8 +24,11 @@ from typing import Any
 
 import numpy as np
 
-from casacal import BoundProblem, Method, Result, Route, Run, Study, bind, lm, load_problem, plan
+from casacal import bind, lm, load_problem, plan
+from casacal.fit import BoundProblem, Result
+from casacal.planning import Route
 from casacal.planning.plan import write_plan
+from casacal.study import Method, Run, Study
 from casacal.study.statistics import Interval, success_rate
 from studies.reporting import PROBLEMS, figure, palette, percent, save, script, table
 from studies.true_cell import World

@@ -15,9 +15,12 @@ from typing import Literal
 
 import numpy as np
 
-from casacal import BoundProblem, Cell, Method, Problem, Result, Run, Simulation, Study, bind, calibrate, dial_gain
+from casacal import Cell, Problem, bind, calibrate, dial_gain
 from casacal import simulate as simulated
 from casacal.calibration.verdict import verdict_of
+from casacal.fit import BoundProblem, Result
+from casacal.simulation import Simulation
+from casacal.study import Method, Run, Study
 from casacal.study.statistics import mean_interval
 from casacal.uncertainty.tip_error import tip_rms, tip_stds, without_rigid, workspace_joints
 from studies.cell_mistakes import UPRIGHT, fit_for, robots

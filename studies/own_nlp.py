@@ -17,7 +17,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from casacal import LeastSquares, Method, Run, Study, huber, ipopt, lm
+from casacal import huber, ipopt, lm
+from casacal.fit import LeastSquares
+from casacal.study import Method, Run, Study
 from casacal.study.statistics import Interval, mean_interval, paired, quantiles
 from studies.own_nlp_arm import CELL, FITTED, FORE, THRESHOLD, TRUE, UPPER, Twins, tied
 from studies.reporting import figure, number, save, script, table

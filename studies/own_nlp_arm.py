@@ -12,12 +12,9 @@ from casacal import (
     Cell,
     DialOnPlane,
     Joint,
-    LeastSquares,
     Parameter,
     Problem,
-    Result,
     Robot,
-    Simulated,
     bind,
     chain,
     corner,
@@ -28,7 +25,9 @@ from casacal import (
     simulate,
     tool_point,
 )
+from casacal.fit import LeastSquares, Result
 from casacal.model.kinematics import hayati
+from casacal.simulation import Simulated
 from casacal.simulation.trials import SimulatedTrial
 
 THRESHOLD = 1.345

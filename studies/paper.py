@@ -13,8 +13,10 @@ import math
 import numpy as np
 from scipy.stats import binomtest
 
-from casacal import Run, Simulated, Study, load_problem, plate
+from casacal import load_problem, plate
+from casacal.simulation import Simulated
 from casacal.simulation.cell import flatness_din_876
+from casacal.study import Run, Study
 from casacal.study.statistics import Paired, paired, success_rate
 from studies import paper_pictures, paper_ranking, paper_tables, rivals
 from studies.reporting import PROBLEMS, percent, script, table

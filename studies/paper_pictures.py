@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from casacal import Run
+from casacal.study import Run
 from casacal.study.statistics import mean_interval
 from studies import rivals
 from studies.paper_tables import best_cost

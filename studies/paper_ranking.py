@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 from scipy.stats import kendalltau
 
-from casacal import Run
+from casacal.study import Run
 from casacal.study.statistics import Interval, holm, paired
 from studies import rivals
 from studies.reporting import table

@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from casacal import Problem, Run
+from casacal import Problem
+from casacal.study import Run
 from casacal.study.statistics import holm, mean_interval, paired, quantiles
 from casacal.uncertainty.identifiability import known_from
 from studies import rivals

@@ -14,9 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-from casacal import BoundProblem, Method, Result, Route, Run, Study, bind, lm, load_problem, plan
+from casacal import bind, lm, load_problem, plan
+from casacal.fit import BoundProblem, Result
+from casacal.planning import Route
 from casacal.planning.candidates import pool_of
 from casacal.planning.route import FIT
+from casacal.study import Method, Run, Study
 from casacal.uncertainty.tip_error import expected_accuracy
 from studies.reporting import PROBLEMS, figure, palette, save, script, table
 from studies.true_cell import World

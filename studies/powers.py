@@ -17,8 +17,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from casacal import BoundProblem, Cell, Method, Problem, Result, Run, Study, bind, lm, load_problem, simulate
+from casacal import Cell, Problem, bind, lm, load_problem, simulate
 from casacal.effects.selection import UNLIKELY, VERY_STRONG, dial_errors, effect_sizes_of, with_effects
+from casacal.fit import BoundProblem, Result
+from casacal.study import Method, Run, Study
 from casacal.study.statistics import Interval, success_rate
 from casacal.uncertainty.noise import found_noise, repeats_to
 from studies.reporting import PROBLEMS, figure, palette, percent, save, script, table

@@ -14,9 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from casacal import ProblemFile, Run, bind, calibrate, load_problem, simulate
+from casacal import bind, calibrate, load_problem, simulate
+from casacal.model import ProblemFile
 from casacal.simulation.simulate import default_cell, simulate_one
 from casacal.simulation.touches import Draw
+from casacal.study import Run
 from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 from studies import reporting
 from studies.reporting import script

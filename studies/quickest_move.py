@@ -15,8 +15,10 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from casacal import Method, Result, Run, Study, lm, load_problem, nominal
+from casacal import lm, load_problem, nominal
+from casacal.fit import Result
 from casacal.simulation.trials import Simulated, SimulatedTrial
+from casacal.study import Method, Run, Study
 from casacal.study.statistics import mean_interval, quantiles
 from studies.reporting import PROBLEMS, figure, number, palette, save, script, table
 

@@ -16,9 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from casacal import BoundProblem, Problem, Result, Run, Samples, Study, TrackedPoint, bind, lm, load_problem
+from casacal import Problem, Samples, TrackedPoint, bind, lm, load_problem
 from casacal.data.holdout import split
+from casacal.fit import BoundProblem, Result
 from casacal.fit.least_squares import Conditioned
+from casacal.study import Run, Study
 from casacal.study.statistics import mean_interval, paired
 from casacal.uncertainty.figures import residual_figures
 from studies import rivals

@@ -20,23 +20,13 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from casacal import (
-    BoundProblem,
-    Method,
-    Problem,
-    Result,
-    Run,
-    Samples,
-    Study,
-    TrackedPoint,
-    bind,
-    calibrate,
-    load_problem,
-)
+from casacal import Problem, Samples, TrackedPoint, bind, calibrate, load_problem
 from casacal.calibration.calibrated import Calibrated
 from casacal.calibration.verdict import verdict_of
 from casacal.data.holdout import split
+from casacal.fit import BoundProblem, Result
 from casacal.fit.seen import ArmAlone
+from casacal.study import Method, Run, Study
 from casacal.study.statistics import mean_interval
 from casacal.uncertainty.tip_error import rigid_fields, tip_stds
 from studies.real_arm import CONTACTS, DEFAULT, FOLDER, HELDOUT, SHIPPED, TRACKED, alike, skipped

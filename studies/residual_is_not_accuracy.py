@@ -15,7 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from casacal import BoundProblem, Cell, Problem, Run, bind, lm, load_problem, plane_only, plate, simulate
+from casacal import Cell, Problem, bind, lm, load_problem, plate, simulate
+from casacal.fit import BoundProblem, plane_only
+from casacal.study import Run
 from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 from studies import reporting
 from studies.reporting import script

@@ -1,20 +1,8 @@
 """The rivals of the paper's Table II, its controls and references, as the studies name them."""
 
-from casacal import (
-    Method,
-    annealing,
-    ekf,
-    evolution,
-    ipopt,
-    lm,
-    nominal,
-    null_step,
-    plane_only,
-    scipy_least_squares,
-    sckf,
-    sckf_lm,
-    swarm,
-)
+from casacal import annealing, ekf, evolution, ipopt, lm, nominal, sckf, sckf_lm, swarm
+from casacal.fit import null_step, plane_only, scipy_least_squares
+from casacal.study import Method
 
 BUDGETS = (10_000, 100_000, 1_000_000)
 """Rows of residuals that each population method may evaluate, each in a run of its own."""

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from casacal import Run, lm
+from casacal import lm
 from casacal.kernels.libraries import CompilerError
+from casacal.study import Run
 from studies import speed_contenders, speed_scale
 from studies.reporting import figure, palette, save, script, table
 from studies.speed_case import CANDIDATES, Case, agreement, case

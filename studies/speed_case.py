@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from casacal import BoundProblem, DialOnPlane, Plane, Problem, bind, load_problem, sckf
+from casacal import DialOnPlane, Plane, Problem, bind, load_problem, sckf
 from casacal.data.samples import Samples
 from casacal.errors import ProblemError
+from casacal.fit import BoundProblem
 from casacal.kernels.libraries import load_library
 from casacal.model.unknown import tangent_basis
 from studies.reporting import PROBLEMS

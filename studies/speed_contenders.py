@@ -8,7 +8,8 @@ import casadi as ca
 import numpy as np
 from scipy.optimize import least_squares
 
-from casacal import BoundProblem, ekf, ipopt, lm, sckf
+from casacal import ekf, ipopt, lm, sckf
+from casacal.fit import BoundProblem
 from casacal.kernels.block_rows import Batch
 from studies.speed_case import CANDIDATES, ByHand, Case, kernels
 

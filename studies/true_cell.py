@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal import Problem, Route, Samples, bind
+from casacal import Problem, Samples, bind
 from casacal.model.instrument import readings_within
+from casacal.planning import Route
 from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 
 Array = NDArray[np.float64]

@@ -14,7 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from casacal import BoundProblem, Cell, Method, Problem, Result, Run, Study, bind, lm, simulate
+from casacal import Cell, Problem, bind, lm, simulate
+from casacal.fit import BoundProblem, Result
+from casacal.study import Method, Run, Study
 from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 from studies.cell_mistakes import fit_for, robots
 from studies.reporting import figure, number, palette, save, script, table

@@ -8,7 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from casacal import BoundProblem, Calibration, ProblemFile, Simulation, bind, calibrate, load_problem, simulate
+from casacal import bind, calibrate, load_problem, simulate
+from casacal.calibration import Calibration
+from casacal.fit import BoundProblem
+from casacal.model import ProblemFile
+from casacal.simulation import Simulation
 from casacal.threads import one_thread_each
 
 ROOT = Path(__file__).parent.parent

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 from tiny_study import Linear
 
-from casacal import Method, Study, lm
+from casacal import lm
+from casacal.study import Method, Study
 
 CALLS = []
 

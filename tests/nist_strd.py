@@ -10,7 +10,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from casacal import LeastSquares
+from casacal.fit import LeastSquares
 
 SETS = json.loads(Path(__file__).with_name("nist_strd.json").read_text(encoding="utf-8"))
 

@@ -7,7 +7,8 @@ import pytest
 from conftest import ROOT
 from oracles import central_difference
 
-from casacal import bind, ekf, ipopt, lm, load_problem, plane_only, sckf, sckf_lm, simulate
+from casacal import bind, ekf, ipopt, lm, load_problem, sckf, sckf_lm, simulate
+from casacal.fit import plane_only
 from casacal.uncertainty.identifiability import identifiability
 from casacal.uncertainty.tip_error import workspace_joints
 

@@ -20,7 +20,9 @@ from pathlib import Path
 import numpy as np
 from tiny_study import Linear
 
-from casacal import Method, Problem, Robot, Samples, Study, TrackedPoint, bind, ekf, ipopt, lm, nlpsol, sckf, sckf_lm
+from casacal import Problem, Robot, Samples, TrackedPoint, bind, ekf, ipopt, lm, sckf, sckf_lm
+from casacal.fit import nlpsol
+from casacal.study import Method, Study
 from casacal.fit.controls import scipy_least_squares
 from casacal.fit.population import annealing, evolution, swarm
 from casacal.study import run

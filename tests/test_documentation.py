@@ -14,8 +14,8 @@ from conftest import ROOT
 from test_architecture import EARLIER, ORDER
 
 import casacal
-from casacal.cli.calibrate import METHOD_NAMES
 from casacal.cli.main import COMMANDS, main
+from casacal.fit.methods import METHODS
 
 INTERVAL = r"\d[\d.]* ?%? \(\d[\d.]* to \d[\d.]*\)"
 DOCUMENTS = [
@@ -116,7 +116,7 @@ def test_the_python_of_a_page_runs(page, workplace, capsys):
 
 def test_the_methods_are_those_there_are():
     table = PAGES["first_calibration"].split("| `--method` |")[1].split("\n\n")[0]
-    assert set(re.findall(r"`([a-z-]+)`", table)) - {"--method"} == set(METHOD_NAMES)
+    assert set(re.findall(r"`([a-z-]+)`", table)) - {"--method"} == set(METHODS)
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
@@ -149,9 +149,16 @@ def test_the_site_holds_whatever_documents_link_to():
 
 def test_the_page_of_public_names_is_what_is_exported():
     text = (ROOT / "docs" / "public.md").read_text(encoding="utf-8")
-    names, modules = text.split("## Modules")
-    listed = re.findall(r"^\| `(\w+)` \| \S", names, re.M)
-    assert sorted(listed) == casacal.__all__
+    front, chapters, modules = re.split("## In the chapters|## Modules", text)
+    assert sorted(re.findall(r"^\| `(\w+)` \| \S", front, re.M)) == casacal.__all__
+    assert len(casacal.__all__) <= 60
+    listed = {}
+    for section in chapters.split("\n### ")[1:]:
+        listed[section.split("`")[1]] = re.findall(r"^\| `(\w+)` \| \S", section, re.M)
+    for chapter, names in listed.items():
+        assert sorted(names) == sorted(import_module(chapter).__all__), chapter
+        assert not set(names) & set(casacal.__all__), f"{chapter}: a name has one public place"
+    assert {f"casacal.{path.parent.name}" for path in (ROOT / "casacal").glob("*/__init__.pyi")} < set(listed)
     for module, row in re.findall(r"^\| `(casacal\.[\w.]+)` \| (.*) \|$", modules, re.M):
         for name in re.findall(r"`(\w+)`", row.split(":")[0]):
             assert hasattr(import_module(module), name), f"{module}.{name}"

@@ -20,10 +20,8 @@ from casacal import (
     Instrument,
     Parameter,
     Problem,
-    ProblemError,
     Robot,
     Samples,
-    SamplesError,
     bind,
     calibrate,
     chain,
@@ -31,9 +29,10 @@ from casacal import (
     load_problem,
     simulate,
 )
-from casacal.calibration.inputs import METHODS
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
+from casacal.errors import ProblemError, SamplesError
+from casacal.fit.methods import METHODS
 from casacal.model.kinematics import position, rotate_z, translate_x
 
 HSR = ROOT / "problems" / "hsr_jr680"

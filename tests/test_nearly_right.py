@@ -8,8 +8,9 @@ from conftest import ROOT
 from fuzz_seeds import URDF
 
 import casacal
-from casacal import ProblemError, Robot
+from casacal import Robot
 from casacal.cli.main import main
+from casacal.errors import ProblemError
 
 HSR = ROOT / "problems" / "hsr_jr680"
 

@@ -235,8 +235,9 @@ def test_types_hold_for_a_user_of_the_package(tmp_path):
 
 @pytest.mark.long
 def test_a_study_of_values_needs_no_file_for_its_workers(hsr, tmp_path):
-    from casacal import Simulated, Study, StudyError
-    from casacal.study import run
+    from casacal.errors import StudyError
+    from casacal.simulation import Simulated
+    from casacal.study import Study, run
 
     setting = Simulated(hsr.problem, hsr.cell, samples=60, heldout=15)
     study = Study("memory", {"corner": setting}, {"LM": lm}, trials=4)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from casacal import CasacalError, DialOnPlane, Problem, Session, calibrate, dial_zero, load_problem, plan
+from casacal import CasacalError, DialOnPlane, Problem, calibrate, dial_zero, load_problem, plan
 from casacal.calibration import tables
 from casacal.calibration.saved import SavedCalibration
 from casacal.calibration.summary import next_step
@@ -22,6 +22,7 @@ from casacal.planning import handouts as ways_of
 from casacal.planning.handouts import program_text
 from casacal.planning.plan import told
 from casacal.planning.set_ups import SetUp
+from casacal.shopfloor import Session
 from casacal.shopfloor.known import Alarm, SessionState, Suspected
 from casacal.wording import with_spread
 

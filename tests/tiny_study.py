@@ -5,7 +5,8 @@ import time
 import numpy as np
 from linear import Matrix, random_linear
 
-from casacal import Method, Study, ekf, evolution, lm, sckf
+from casacal import ekf, evolution, lm, sckf
+from casacal.study import Method, Study
 from casacal.uncertainty.figures import residual_figures
 
 PAUSE = 0.0

@@ -2,7 +2,8 @@
 
 from instruments_on_ur5 import ROBOT
 
-from casacal import Parameter, Problem, SelfContact, facing, tool_point
+from casacal import Parameter, Problem, SelfContact, tool_point
+from casacal.model import facing
 
 balls = SelfContact(
     noise_std=0.02,

@@ -9,7 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import casacal
-from casacal import Calibrated, Instrument, Parameter, Prediction, Problem, Result, Robot, Samples, Status
+from casacal import Instrument, Parameter, Problem, Robot, Samples
+from casacal.calibration import Calibrated
+from casacal.deployment import Prediction
+from casacal.fit import Result, Status
 from casacal.model.kinematics import chain, position, rotate_z, translate_x
 
 

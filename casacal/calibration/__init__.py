@@ -1,1 +1,7 @@
 """Calibration: check, fit, verdict, typed result and report."""
+
+from casacal.public import homes, on_demand
+
+_HOMES = homes(__name__)
+__getattr__ = on_demand(__name__, _HOMES)
+__all__ = sorted(_HOMES)

@@ -14,7 +14,7 @@ import numpy as np
 from casacal.calibration.before_fit import labels_alike
 from casacal.calibration.calibrated import Calibrated
 from casacal.calibration.finding import Finding
-from casacal.calibration.inputs import RANDOM, Method, Progress, Reference, chosen, estimate, problem_from, samples_from
+from casacal.calibration.inputs import Method, Progress, Reference, chosen, estimate, problem_from, samples_from
 from casacal.calibration.motion import tried_corrections
 from casacal.calibration.saved import AsArm
 from casacal.calibration.set_aside import gross
@@ -30,6 +30,7 @@ from casacal.fit.controls import plane_only
 from casacal.fit.ipopt import check_solver, nlpsol
 from casacal.fit.least_squares import Result
 from casacal.fit.lm import lm
+from casacal.fit.methods import METHODS
 from casacal.fit.seen import bind_further
 from casacal.kernels.losses import Loss
 from casacal.model.problem import Problem
@@ -117,7 +118,7 @@ def calibrate(
         if since is not None:
             fit, bare, aside = since.bound(chosen_rows.sets[0], set_aside=set_aside, noise=find_noise, kit=kit)
         else:
-            kit = kit and loss is None and name not in (*RANDOM, "plane-only")
+            kit = kit and loss is None and not (name in METHODS and METHODS[name].parameters_only)
             asked = (set_aside, find_noise, kit, loss, backend, threads)
             fit, bare, aside = _from_drawing(source.problem, chosen_rows, *asked)
         if not source.problem.terms and fit.problem.terms == BY_LINKS:

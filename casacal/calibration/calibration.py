@@ -32,6 +32,7 @@ from casacal.errors import CasacalError
 from casacal.fit.bound_problem import BoundProblem, bind, each_alone
 from casacal.fit.least_squares import Result
 from casacal.fit.lm import lm
+from casacal.fit.methods import minimises
 from casacal.fit.seen import ArmAlone, Seen, extended, seen
 from casacal.linalg import posterior_covariance
 from casacal.model.problem_file import ProblemFile
@@ -60,7 +61,6 @@ from casacal.values import Array, FrozenMapping, Value
 if TYPE_CHECKING:
     from casacal.calibration.earlier import EarlierResult
 
-MINIMISERS = ("lm", "sckf-lm", "ipopt")  # methods that promise the minimum; filters and controls may honestly miss it
 HARMLESS = 0.01  # tip motion (mm under the prior) below which an unseen direction needs no cure
 FAR = 4.0  # prior standard deviations beyond which a parameter has moved too far: one clean arm in several hundred does
 LACK_OF_FIT = 2.0  # found over stated noise beyond which something systematic is wrong, as `check` judges it
@@ -186,7 +186,7 @@ class Calibration(Value):
         """Whether the method converged and, where it promises the minimum, the reference agrees."""
         if not self.result.converged:
             return False
-        return self.reference is None or self.method not in MINIMISERS or self.reference.agrees
+        return self.reference is None or not minimises(self.method) or self.reference.agrees
 
     @property
     def bare(self) -> BoundProblem:
@@ -271,7 +271,7 @@ class Calibration(Value):
         """Chance of rows so far from what an earlier result expects of them; one where there is none."""
         if self.earlier is None:
             return 1.0
-        arrived = self.method in MINIMISERS  # others end anywhere, which says nothing of the rows
+        arrived = minimises(self.method)  # others end anywhere, which says nothing of the rows
         return self.earlier.chance_of(self.result if arrived else lm(self.fit, start=self.result.x))
 
     @cached_property
@@ -393,7 +393,7 @@ class Calibration(Value):
         the samples see is the tip, and how much of the difference is the tool's, how much the arm's, nobody knows then.
         """
         before, now = self._expected(flange=True)
-        return before, now if self.method in MINIMISERS and not self.tool_findings else math.nan
+        return before, now if minimises(self.method) and not self.tool_findings else math.nan
 
     def _expected(self, *, flange: bool = False) -> tuple[float, float]:
         motion, robust = self.motion, self.result.loss is not None
@@ -422,7 +422,7 @@ class Calibration(Value):
     @cached_property
     def tip_from_minimum(self) -> float:
         """How far the tip stands from where the minimum puts it, mm RMS over the workspace, apart from the base."""
-        if self.method in MINIMISERS:
+        if minimises(self.method):
             return 0.0
         joints, tips, _ = self.workspace
         least = lm(self.fit, start=self.result.x, loss=self.result.loss)

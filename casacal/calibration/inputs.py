@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -14,6 +13,7 @@ from casacal.data.samples import Measurements, Samples
 from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.fit.bound_problem import BoundProblem
 from casacal.fit.least_squares import Result, Status, as_result
+from casacal.fit.methods import METHODS, method_of
 from casacal.kernels.losses import Loss
 from casacal.model.problem import Problem
 from casacal.model.problem_file import ProblemFile, load_problem
@@ -21,38 +21,6 @@ from casacal.values import Array, Value
 
 Progress: TypeAlias = Callable[[int, float], None]
 Method: TypeAlias = Callable[..., Result | Array]
-
-METHODS: Mapping[str, str] = {
-    "lm": "lm",
-    "sckf": "filters",
-    "sckf-lm": "filters",
-    "ekf": "filters",
-    "annealing": "population",
-    "swarm": "population",
-    "evolution": "population",
-    "ipopt": "ipopt",
-    "plane-only": "controls",
-}
-"""The names the command line knows, and the module of `casacal.fit` that defines each."""
-
-
-def method_of(name: str) -> Method | None:
-    """casacal's own method of that name, whose module is imported now; None where it has none."""
-    if name not in METHODS:
-        return None
-    found: Method = getattr(import_module(f"casacal.fit.{METHODS[name]}"), name.replace("-", "_"))
-    return found
-
-
-RANDOM = ("annealing", "swarm", "evolution")
-"""Methods that draw random numbers, to search a box of the geometry: that of effects beside it is too wide."""
-
-NO_LOSS: Mapping[str, str] = {
-    "sckf": "takes every row once, at its full weight, and minimises nothing",
-    "ekf": "takes every row once, at its full weight, and minimises nothing",
-    "plane-only": "is the control of plain least squares, with which others are compared",
-}
-"""Methods that take no loss, and why."""
 
 WORSE = 1e-9  # part of the drawing's cost by which an estimate may exceed it: rounding
 
@@ -129,9 +97,9 @@ def chosen(method: str | Method | None, loss: Loss | None) -> tuple[Method, str]
     if loss is not None and method_of(name) is not run:
         fix = "Let it minimise problem.cost(x, loss) by itself, and leave the loss out here"
         raise CasacalError(f"The method '{name}' is a function of the problem alone, and takes no loss", fix)
-    if loss is not None and name in NO_LOSS:
-        known = ", ".join(each for each in METHODS if each not in NO_LOSS)
-        raise CasacalError(f"The method '{name}' takes no loss: it {NO_LOSS[name]}", f"Use one of {known}")
+    if loss is not None and (reason := METHODS[name].no_loss):
+        known = ", ".join(each for each, own in METHODS.items() if not own.no_loss)
+        raise CasacalError(f"The method '{name}' takes no loss: it {reason}", f"Use one of {known}")
     return run, name
 
 
@@ -141,9 +109,8 @@ def estimate(
     """Run a method: casacal's own with what they understand, others with the problem alone."""
     if method_of(name) is not run:
         return _judged(as_result(run(fit), fit, name))
-    # controls and the reference have nothing to report on the way
-    options: dict[str, Any] = {"progress": progress} if name not in ("ipopt", "plane-only") else {}
-    if name in RANDOM:
+    options: dict[str, Any] = {} if METHODS[name].quiet else {"progress": progress}
+    if METHODS[name].random:
         options["seed"] = seed
     if loss is not None:
         options["loss"] = loss

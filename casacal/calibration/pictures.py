@@ -10,8 +10,8 @@ import numpy as np
 
 from casacal.calibration.calibration import Calibration
 from casacal.files import place_whole
+from casacal.public import __version__
 from casacal.uncertainty.tip_error import tip_stds, without_rigid
-from casacal.version import __version__
 
 FILTER_POINTS = 60  # rows at which a filter's objective is drawn
 FLOOR = 1e-9  # added so that the lowest value itself can stand on a logarithmic axis; below rounding

@@ -27,10 +27,10 @@ from casacal.fit.least_squares import Result
 from casacal.fit.slots import Slot
 from casacal.model.problem_file import ProblemFile
 from casacal.model.term import Site
+from casacal.public import __version__
 from casacal.uncertainty.identifiability import known_from
 from casacal.uncertainty.tip_error import without_rigid, workspace_joints
 from casacal.values import Array
-from casacal.version import __version__
 from casacal.wording import listed, mm
 
 

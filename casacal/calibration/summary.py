@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from casacal.calibration import tables
-from casacal.calibration.calibration import MINIMISERS, Calibration
+from casacal.calibration.calibration import Calibration
 from casacal.calibration.result_parts import verdict_lines
 from casacal.calibration.verdict import (
     VERIFY,
@@ -25,8 +25,9 @@ from casacal.calibration.verdict import (
 from casacal.data.samples import Measurements
 from casacal.deployment.result import Verdict
 from casacal.errors import CasacalError
+from casacal.fit.methods import minimises
 from casacal.planning.cures import Cure
-from casacal.version import __version__
+from casacal.public import __version__
 from casacal.wording import METRE, chance, counted, listed, lower, mm
 
 WORSE = 1.5  # expected error of the flange over that of the tip from which it is the tip that is worth correcting
@@ -100,7 +101,7 @@ def _repair(calibration: Calibration, check: str) -> str:
     if not calibration.result.converged:
         return f"run {check}, which looks closer at the samples; or try another way to the minimum, --method lm."
     if reference is not None and not reference.agrees:
-        if calibration.method in MINIMISERS:
+        if minimises(calibration.method):
             return f"run {check}; then compare the costs of --method lm and --method ipopt, and keep the lower one."
         return "use --method lm or sckf-lm, which go to the minimum."
     if priors_contradicted(calibration) and not unexplained(calibration):
@@ -159,7 +160,7 @@ def _subject(calibration: Calibration) -> str:
     checked = ""
     if calibration.reference is not None:
         found = calibration.reference
-        lower = calibration.method not in MINIMISERS and found.gap > 0
+        lower = not minimises(calibration.method) and found.gap > 0
         apart = f"finds a cost lower by {found.gap:.2g}" if lower else "DIFFERS"
         checked = f"; {found.solver} {'agrees' if found.agrees else apart}"
     known = "" if calibration.earlier is None else f" and {calibration.earlier.file}"

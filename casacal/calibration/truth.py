@@ -18,8 +18,8 @@ from casacal.fit.bound_problem import BoundProblem, bind
 from casacal.fit.least_squares import Result, Status
 from casacal.fit.seen import seen
 from casacal.model.problem_file import ProblemFile
+from casacal.public import __version__
 from casacal.simulation.simulate import Simulation
-from casacal.version import __version__
 
 
 def write_simulation(

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casacal.calibration.calibration import FAR, LACK_OF_FIT, MINIMISERS, Calibration, more_than_stated
+from casacal.calibration.calibration import FAR, LACK_OF_FIT, Calibration, more_than_stated
 from casacal.calibration.finding import Finding
 from casacal.calibration.motion import tip_extremes
 from casacal.calibration.numbers import SCALE, without_its_likes
 from casacal.deployment.result import Verdict
 from casacal.effects.selection import at_most, errors_are_shared
+from casacal.fit.methods import minimises
 from casacal.uncertainty.moves import prior_scatter
 from casacal.uncertainty.noise import is_usual, repeats_to
 from casacal.uncertainty.tip_error import spread_rms
@@ -320,7 +321,7 @@ def verdict_of(calibration: Calibration) -> Verdict:
         words = f"Use with care: {said}; the residuals are those of the arm as drawn."
         return Verdict("use with care", words, (sentence(said),))
     found, expected, unchecked = doubts(calibration), _expected(calibration), ""
-    if calibration.reference is None and calibration.method in MINIMISERS:
+    if calibration.reference is None and minimises(calibration.method):
         unchecked = " No second solver checked that this is the minimum."
     elif calibration.reference is None:
         clause = "no second solver checked that this is the minimum"
@@ -411,7 +412,7 @@ def _missed_minimum(calibration: Calibration) -> list[str]:
         return []
     if not reference.result.converged:
         return [f"{reference.solver} did not finish, so nothing confirms the minimum; another --reference may"]
-    if calibration.method in MINIMISERS:
+    if minimises(calibration.method):
         return [f"the costs of {calibration.method} and {reference.solver} differ, so one of them missed the minimum"]
     if 2 * (calibration.result.cost - reference.cost) <= calibration.fit.unknowns:
         return []

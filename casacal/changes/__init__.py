@@ -1,1 +1,7 @@
 """Changes: whether an arm has changed since it was calibrated, what, and by how much."""
+
+from casacal.public import homes, on_demand
+
+_HOMES = homes(__name__)
+__getattr__ = on_demand(__name__, _HOMES)
+__all__ = sorted(_HOMES)

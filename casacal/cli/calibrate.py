@@ -16,6 +16,7 @@ from casacal.cli import common
 from casacal.cli.common import DONE, FAILED, JSON, PROBLEM, add, whole_number
 from casacal.cli.terminal import on_stderr, say, say_json, say_lines, width, wrapped, write_progress
 from casacal.errors import CasacalError
+from casacal.fit.methods import METHODS
 from casacal.wording import mm
 
 if TYPE_CHECKING:
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from casacal.uncertainty.tip_error import Box
 
 HELP = "calibrate the arm from samples"
-METHOD_NAMES = ("lm", "sckf", "sckf-lm", "ekf", "annealing", "swarm", "evolution", "ipopt", "plane-only")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add(parser, *PROBLEM)
     common.add_samples(parser)
-    add(parser, "--method", "default: sckf-lm; with --loss, lm", choices=METHOD_NAMES)
+    add(parser, "--method", "default: sckf-lm; with --loss, lm", choices=tuple(METHODS))
     add(parser, "--holdout F", "fraction of the rows to hold out", kind=float, default=0.0)
     words = "rows (default: some of each face), region (neighbouring postures), face, or a column, such as session"
     add(parser, "--holdout-by WHAT", words)

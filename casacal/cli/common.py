@@ -238,7 +238,7 @@ def add_adjustments(parser: argparse.ArgumentParser) -> None:
 def adjusted(problem: Problem, options: argparse.Namespace) -> Problem:
     """The problem as the options want it; raises CasacalError for what cannot be read or does not exist."""
     if options.accuracy is not None:
-        from casacal.uncertainty.learned_priors import scaled_to_accuracy
+        from casacal.uncertainty.priors import scaled_to_accuracy
 
         problem = scaled_to_accuracy(problem, options.accuracy)
     if options.set:

@@ -16,8 +16,8 @@ from typing import Any, NoReturn
 from casacal.cli.common import BAD_INPUT, DONE, FAILED, INTERRUPTED
 from casacal.cli.terminal import complain, finish, prepare, words_beside
 from casacal.errors import CasacalError, RefusedResultError
+from casacal.public import __version__
 from casacal.threads import one_thread_each
-from casacal.version import __version__
 
 AGAIN = 0.1  # seconds after which an interrupt that ended nothing is raised once more
 

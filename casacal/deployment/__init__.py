@@ -1,1 +1,7 @@
 """A calibrated arm in use: results, predictions, compensated targets, and exports."""
+
+from casacal.public import homes, on_demand
+
+_HOMES = homes(__name__)
+__getattr__ = on_demand(__name__, _HOMES)
+__all__ = sorted(_HOMES)

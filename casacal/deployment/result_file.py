@@ -320,6 +320,6 @@ def arm_from(given: Any) -> CalibratedArm:
     """The arm that was given, or that of a calibration, as its first instrument sees it; raises CasacalError."""
     arm = given if isinstance(given, CalibratedArm) else getattr(given, "arm", None)
     if not isinstance(arm, CalibratedArm):
-        fix = "Give a calibration, or what casacal.load or casacal.read_result returns"
+        fix = "Give a calibration, or what casacal.load or casacal.deployment.read_result returns"
         raise CasacalError(f"Got {came(given)} as the calibrated arm", fix)
     return seen_by(arm)

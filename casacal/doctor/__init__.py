@@ -3,7 +3,8 @@
 The data doctor, `casacal check`, looks at samples instead.
 """
 
-from casacal.doctor.diagnosis import Diagnosis, diagnose
-from casacal.doctor.pendant_rows import PendantRows, read_pendant_rows
+from casacal.public import homes, on_demand
 
-__all__ = ["Diagnosis", "PendantRows", "diagnose", "read_pendant_rows"]
+_HOMES = homes(__name__)
+__getattr__ = on_demand(__name__, _HOMES)
+__all__ = sorted(_HOMES)

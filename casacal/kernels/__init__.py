@@ -5,3 +5,9 @@ rows. native_rows: in C, printed before the files of c/; libraries: built and ke
 also any function of many rows and exact second derivatives. filter_passes: the cubature filter, in C or there.
 backend: which of both evaluates rows.
 """
+
+from casacal.public import homes, on_demand
+
+_HOMES = homes(__name__)
+__getattr__ = on_demand(__name__, _HOMES)
+__all__ = sorted(_HOMES)

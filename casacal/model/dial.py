@@ -262,7 +262,8 @@ class DialOnPlane(Instrument):
 
     def propose(self, key: str, sight: Sight) -> Array:
         """The plane that was touched, as `Sight.touched_plane` has it."""
-        return sight.touched_plane() if key == "plane" else super().propose(key, sight)
+        heights = sight.columns["height"] if self.steps else None
+        return sight.touched_plane(heights) if key == "plane" else super().propose(key, sight)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -69,12 +69,12 @@ class Sight:
     plungers: Array | None = None
     """Nominal directions of the plunger, (N, 3), out of the tool; None for an instrument without one."""
 
-    def touched_plane(self) -> Array:
-        """Numbers (12,) of the total-least-squares plane through the tips, their known heights above it taken off.
+    def touched_plane(self, heights: Array | None = None) -> Array:
+        """Numbers (12,) of the total-least-squares plane through the tips, known heights (N,) above it taken off, mm.
 
         Its normal is towards the tool. Raises ProblemError when the tips lie on a line, so that no plane is seen.
         """
-        heights = self.columns.get("height", np.zeros(len(self.tips)))
+        heights = np.zeros(len(self.tips)) if heights is None else heights
         values, counts = np.unique(heights, return_counts=True)
         normal = self.touched_normal(heights == values[np.argmax(counts)])
         return Plane.encode(normal, (self.tips - heights[:, None] * normal).mean(axis=0))
@@ -530,7 +530,8 @@ class TracedInstrument(Instrument):
 
     def propose(self, key: str, sight: Sight) -> Array:
         """A plane through the tips; for anything else the instrument itself would have to be asked."""
-        return sight.touched_plane() if isinstance(self.unknowns[key], Plane) else super().propose(key, sight)
+        heights = sight.columns["height"] if "height" in self.known_columns else None
+        return sight.touched_plane(heights) if isinstance(self.unknowns[key], Plane) else super().propose(key, sight)
 
     def _called(self, pose: Expression, p: Any, row: Any, *, whole: bool = True) -> list[Expression]:
         """All outputs; of a tip or a plunger alone, unknowns that nobody gives, such as a face, play no part."""

@@ -99,8 +99,10 @@ def load_problem(path: str | Path) -> ProblemFile:
         if isinstance(error, CasacalError):
             raise ProblemError(f"{line_of(file, error)}: {error.what}", error.fix) from error
         fix = "Mend the problem file"
-        if isinstance(error, NameError) and error.name in sys.modules["casacal"].__all__:
-            fix = f"Add from casacal import {error.name}"
+        if isinstance(error, NameError):
+            for home in ("casacal", "casacal.model"):
+                if error.name in sys.modules[home].__all__:
+                    fix = f"Add from {home} import {error.name}"
         raise ProblemError(f"{line_of(file, error)}: {said(error)}", fix) from error
     problem, cell = values.get("problem"), values.get("cell")
     if not isinstance(problem, Problem):

@@ -1,1 +1,7 @@
 """Uncertainty: what the data tell, what they cannot tell, and what would cure it."""
+
+from casacal.public import homes, on_demand
+
+_HOMES = homes(__name__)
+__getattr__ = on_demand(__name__, _HOMES)
+__all__ = sorted(_HOMES)

@@ -1,1 +1,7 @@
 """Verification: fresh rows judged without refitting the arm."""
+
+from casacal.public import homes, on_demand
+
+_HOMES = homes(__name__)
+__getattr__ = on_demand(__name__, _HOMES)
+__all__ = sorted(_HOMES)

@@ -15,7 +15,7 @@ from casacal.calibration.verdict import warnings
 from casacal.cli.main import main
 from casacal.errors import CasacalError, ProblemError
 from casacal.kernels.losses import huber, tukey
-from casacal.uncertainty.learned_priors import prior_tip_rms, scaled_to_accuracy
+from casacal.uncertainty.priors import prior_tip_rms, scaled_to_accuracy
 from casacal.uncertainty.tip_error import (
     accuracy_in_box,
     classical_bound,

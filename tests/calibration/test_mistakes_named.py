@@ -6,13 +6,13 @@ import math
 import numpy as np
 import pytest
 
-from casacal import DialOnPlane, Problem, SimulationError, Step, calibrate, check, load_problem, plan, simulate
+from casacal import DialOnPlane, Problem, Step, calibrate, check, load_problem, plan, simulate
 from casacal.calibration.before_fit import odd_labels, outside, tells_a_wrong_sign
 from casacal.calibration.faults import _Attempt, _to_the_end
 from casacal.calibration.finding import Fault, Undone, misfit
 from casacal.calibration.verdict import verdict_of
 from casacal.data.columns import Labels
-from casacal.errors import CasacalError
+from casacal.errors import CasacalError, SimulationError
 from studies.cell_mistakes import PROBLEMS
 
 REPLACE = dataclasses.replace

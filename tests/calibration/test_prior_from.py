@@ -14,7 +14,6 @@ from scipy.stats import chi2
 from test_changed import calibration, cell_of, off, robot, touched
 
 from casacal import (
-    CalibratedArm,
     CasacalError,
     Conventions,
     Problem,
@@ -25,7 +24,6 @@ from casacal import (
     changed,
     load,
     load_problem,
-    read_result,
     simulate,
     tool_point,
     verify,
@@ -33,6 +31,7 @@ from casacal import (
 from casacal.calibration.fresh import JOINTS, joint_direction, shift_columns, with_shifts
 from casacal.cli.main import main
 from casacal.data.samples import write_samples
+from casacal.deployment import CalibratedArm, read_result
 from casacal.files import write_json
 from casacal.fit.filters import sckf
 from casacal.fit.least_squares import Gaussian, LeastSquares

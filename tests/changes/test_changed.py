@@ -12,19 +12,9 @@ from scipy.linalg import null_space
 from scipy.stats import binom, chi2, f
 from seals import resealed
 
-from casacal import (
-    CasacalError,
-    Change,
-    Problem,
-    TrackedPoint,
-    bind,
-    calibrate,
-    changed,
-    load_problem,
-    simulate,
-    tool_point,
-)
+from casacal import CasacalError, Problem, TrackedPoint, bind, calibrate, changed, load_problem, simulate, tool_point
 from casacal.calibration.fresh import opened, with_memory
+from casacal.changes import Change
 from casacal.changes.explain import AllTests, Cause, Explanation, FittedCause, Look, contenders, explanations, row_bases
 from casacal.data.samples import joined
 from casacal.errors import SamplesError, UnknownNameError

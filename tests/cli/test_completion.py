@@ -7,8 +7,8 @@ import sys
 import pytest
 from conftest import ROOT
 
-from casacal.cli.calibrate import METHOD_NAMES
 from casacal.cli.main import COMMANDS, build_parser, main
+from casacal.fit.methods import METHODS
 
 BASH, ZSH = shutil.which("bash"), shutil.which("zsh")
 
@@ -56,7 +56,7 @@ def test_bash_offers_every_option_of_every_command(bash, command):
 
 
 def test_bash_offers_choices_files_and_nothing(bash):
-    assert bash("casacal", "calibrate", "x", "--method", "") == set(METHOD_NAMES)
+    assert bash("casacal", "calibrate", "x", "--method", "") == set(METHODS)
     assert bash("casacal", "calibrate", "--method", "sckf-") == {"sckf-lm"}
     assert bash("casacal", "predict", "r.json", "q.csv", "--frame", "t") == {"tip"}
     assert bash("casacal", "completion", "") == {"bash", "zsh"}
@@ -104,7 +104,7 @@ def test_zsh_offers_commands_options_choices_and_files(tmp_path, capsys):
         assert option in listed
     assert "default: sckf-lm" in listed
     listed = complete("casacal calibrate --method ")
-    for name in METHOD_NAMES:
+    for name in METHODS:
         assert name in listed
     assert "samples.csv" in complete("casacal calibrate arm sam")
     assert "samples.csv" in complete("casacal predict --out sam")

@@ -17,9 +17,10 @@ import pytest
 from conftest import ROOT
 from measured_world import World
 
-from casacal import CasacalError, Instrument, Parameter, Problem, load_problem, plan, read_route
+from casacal import CasacalError, Instrument, Parameter, Problem, load_problem, plan
 from casacal.cli.main import main
 from casacal.model.kinematics import position
+from casacal.planning import read_route
 from casacal.planning.plan import plan_text, write_plan
 from casacal.shopfloor.conversation import answered, command_of, help_words, posture, touch_of
 from casacal.shopfloor.gauges import HOLD, LONGEST, QUIET, Entry, Inbox, SerialLine, gauge

@@ -13,14 +13,16 @@ import pytest
 from seals import resealed
 
 import casacal
-from casacal import BoundProblem, CasacalError, RefusedResultError, calibrate
+from casacal import CasacalError, calibrate
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.result_json import calibration_document
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.data.samples import write_samples
 from casacal.deployment.export import export
+from casacal.errors import RefusedResultError
 from casacal.files import jsonable
+from casacal.fit import BoundProblem
 from casacal.values import alike
 from studies.cell_mistakes import PROBLEMS, simulated
 

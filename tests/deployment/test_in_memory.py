@@ -1,5 +1,6 @@
 """Everything from Python: fit, save, load elsewhere, predict, compensate, export, report, without a file in between."""
 
+import inspect
 import json
 import logging
 import os
@@ -14,14 +15,15 @@ from conftest import ROOT
 from own_instrument import written
 
 import casacal
-from casacal import CasacalError, Problem, Result, Samples, calibrate, huber, lm, load, load_problem, simulate, tukey
-from casacal.calibration.inputs import METHODS, method_of
+from casacal import CasacalError, Problem, Samples, calibrate, huber, lm, load, load_problem, simulate, tukey
 from casacal.cli.main import main
 from casacal.deployment.export import dh_text, export, ur_kinematics_text, urdf_text, zero_corrections, zeros_text
 from casacal.deployment.functions import c_text, pose_function, tip_function, values_of
 from casacal.deployment.predict import predict
 from casacal.deployment.remark import remark
 from casacal.deployment.result_file import read_result
+from casacal.fit import Result
+from casacal.fit.methods import METHODS, method_of, minimises
 
 Q = np.array([[0.1, -0.4, 0.3, 0.2, 0.9, 0.1], [0.3, -0.2, 0.1, -0.5, 0.7, -0.2]])
 
@@ -139,13 +141,17 @@ def test_wrong_types_are_refused_in_a_sentence(hsr, found, wrong):
     for call in takes_an_arm:
         with pytest.raises(CasacalError, match="as the calibrated arm"):
             call()
-    others = [lambda: found.export(wrong), lambda: casacal.read_targets(hsr.samples, wrong)]
+    others = [lambda: found.export(wrong), lambda: casacal.deployment.read_targets(hsr.samples, wrong)]
     others += [lambda: casacal.check(wrong, Samples.of_joints(Q)), lambda: casacal.check(hsr.problem, wrong)]
     if not isinstance(wrong, np.ndarray):
         others += [lambda: casacal.compensate(arm, wrong), lambda: predict(arm, wrong)]
         others += [lambda: casacal.compensate(arm, Q, largest=wrong)] if wrong != 5 else []
     if not isinstance(wrong, str):
-        others += [lambda: load(wrong), lambda: load_problem(wrong), lambda: casacal.read_targets(wrong, hsr)]
+        others += [
+            lambda: load(wrong),
+            lambda: load_problem(wrong),
+            lambda: casacal.deployment.read_targets(wrong, hsr),
+        ]
         others += [lambda: found.export("zeros", wrong)] if wrong is not None else []
     for call in others:
         with pytest.raises(CasacalError):
@@ -177,7 +183,7 @@ def test_a_method_may_be_a_function(hsr, found):
 
 def test_losses_are_public(hsr):
     for loss in (huber(), tukey(4.0)):
-        assert isinstance(loss, casacal.Loss)
+        assert isinstance(loss, casacal.kernels.Loss)
         assert calibrate(hsr, method="lm", loss=loss).result.loss == loss
 
 
@@ -344,9 +350,21 @@ def test_the_library_logs_and_stays_silent_unless_asked(hsr, caplog, capsys):
     assert captured.out == captured.err == ""
 
 
+def test_every_method_takes_what_the_list_of_methods_says():
+    for name, listed in METHODS.items():
+        takes = inspect.signature(method_of(name)).parameters
+        assert ("seed" in takes) == listed.random, name
+        assert ("loss" in takes) == (not listed.no_loss), name
+        assert ("progress" in takes) == (not listed.quiet), name
+    for name in ("gauss-newton", "nominal", "Result"):
+        assert method_of(name) is None
+        assert not minimises(name)
+
+
 def test_every_method_by_name_is_also_a_function():
     for name in METHODS:
-        assert getattr(casacal, name.replace("-", "_")) is method_of(name)
+        home = casacal if name != "plane-only" else casacal.fit
+        assert getattr(home, name.replace("-", "_")) is method_of(name)
 
 
 def test_parts_of_another_kind_are_refused_in_a_sentence(hsr):

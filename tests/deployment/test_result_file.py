@@ -22,12 +22,14 @@ from test_export import PLAIN
 from test_own_instrument import written
 
 import casacal
-from casacal import CasacalError, calibrate, load, load_problem, simulate
+from casacal import CasacalError, Instrument, calibrate, effects, load, load_problem, simulate
 from casacal.cli.main import main
 from casacal.deployment.as_data import KINDS, problem_data, problem_from
 from casacal.deployment.result import Level
 from casacal.deployment.result_file import SCHEMA, misfits, read_result, schema_text
+from casacal.effects import Effect
 from casacal.kernels.program import graph_data, graph_from
+from casacal.model.unknown import Unknown
 
 PROBLEMS = ("hsr_jr680", "ur5", "kuka_iiwa14", "adept_cobra600", "motoman_ma1400")
 FROM_FILE = """from casacal import Problem, Robot, TrackedPoint, tool_point
@@ -76,6 +78,11 @@ def test_formats_that_an_arm_does_not_use_are_not_loaded():
 def test_every_class_of_the_data_is_where_it_is_said_to_be():
     for name, home in KINDS.items():
         assert getattr(import_module(home), name).__module__ == home
+    public = [getattr(casacal, name) for name in casacal.__all__] + [getattr(effects, name) for name in vars(effects)]
+    ours = [each for each in public if isinstance(each, type) and issubclass(each, (Instrument, Unknown, Effect))]
+    assert len(ours) > 15
+    for each in set(ours) - {Instrument, Effect}:
+        assert each.__name__ in KINDS, f"{each.__name__} would come back from a file as a trace, without its words"
 
 
 @pytest.mark.parametrize("name", PROBLEMS)

@@ -10,10 +10,11 @@ from conftest import ROOT
 from instruments_on_ur5 import PROBLEMS
 from scipy.spatial.transform import Rotation
 
-from casacal import CasacalError, FixedPoint, Problem, calibrate, facing, load_problem, simulate, tool_point, turntable
+from casacal import CasacalError, FixedPoint, Problem, calibrate, load_problem, simulate, tool_point
 from casacal.cli.main import main
 from casacal.deployment.result_file import read_result
 from casacal.deployment.work_frame import frame_text, work_frame
+from casacal.model import facing, turntable
 from casacal.uncertainty.tip_error import workspace_joints
 
 FACES = ("floor", "wall", "side")

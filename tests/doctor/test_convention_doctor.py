@@ -12,9 +12,9 @@ from oracles import dh_chain
 from robots_of_others import PUMA_TOML
 from scipy.spatial.transform import Rotation
 
-from casacal import Conventions, Joint, Parameter, Robot, chain, deg
+from casacal import Conventions, Joint, Parameter, Robot, chain, deg, diagnose
 from casacal.cli.main import main
-from casacal.doctor import PendantRows, diagnose, read_pendant_rows
+from casacal.doctor import PendantRows, read_pendant_rows
 from casacal.doctor.diagnosis import Meaning, further_pose
 from casacal.doctor.search import Halves, axes_of
 from casacal.doctor.words import diagnosis_text

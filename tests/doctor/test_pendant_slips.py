@@ -10,9 +10,9 @@ import pytest
 from conftest import ROOT
 from test_convention_doctor import radians, robot_of, rows_of, true_case
 
-from casacal import Robot
+from casacal import Robot, diagnose
 from casacal.cli.main import main
-from casacal.doctor import PendantRows, diagnose
+from casacal.doctor import PendantRows
 from casacal.doctor.diagnosis import Miss
 from casacal.doctor.words import diagnosis_text
 from casacal.errors import SamplesError

@@ -13,9 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from casacal import (
     CasacalError,
-    Disturbances,
     Problem,
-    ProblemError,
     TrackedPoint,
     bind,
     calibrate,
@@ -35,6 +33,8 @@ from casacal.deployment.export import export
 from casacal.deployment.result_file import sealed
 from casacal.effects import Backlash, Drift, GravitySag, TransmissionError, kit
 from casacal.effects.selection import at_most, gains, in_sample_gains, times_found, with_effects
+from casacal.errors import ProblemError
+from casacal.simulation import Disturbances
 from casacal.study.benchmark import left
 from casacal.uncertainty.evidence import NormalEquations, evidence
 from casacal.uncertainty.noise import found_noise

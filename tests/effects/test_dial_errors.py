@@ -14,7 +14,6 @@ from casacal import (
     DialOnBody,
     DialOnPlane,
     Problem,
-    ProblemError,
     bind,
     calibrate,
     dial_cycle,
@@ -29,6 +28,7 @@ from casacal import (
 )
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
+from casacal.errors import ProblemError
 from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 
 

@@ -10,10 +10,8 @@ from instruments_on_ur5 import ROBOT, TABLE, TOOL, flanges
 
 from casacal import (
     Conventions,
-    Disturbances,
     Parameter,
     Problem,
-    ProblemError,
     Robot,
     TrackedPoint,
     bind,
@@ -25,6 +23,8 @@ from casacal import (
     tool_point,
 )
 from casacal.effects import GravitySag, LinkSag, with_kit
+from casacal.errors import ProblemError
+from casacal.simulation import Disturbances
 from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 
 MASSES = (3.7, 8.4, 2.3, 1.2, 1.2, 0.2)

@@ -6,19 +6,10 @@ import numpy as np
 import pytest
 from instruments_on_ur5 import ROBOT, TOOL, flanges
 
-from casacal import (
-    Disturbances,
-    Problem,
-    ProblemError,
-    SamplesError,
-    TrackedPoint,
-    bind,
-    calibrate,
-    lm,
-    simulate,
-    tool_point,
-)
+from casacal import Problem, TrackedPoint, bind, calibrate, lm, simulate, tool_point
 from casacal.effects import Backlash, TorqueCompliance
+from casacal.errors import ProblemError, SamplesError
+from casacal.simulation import Disturbances
 
 GIVE = np.array([60.0, 120.0, 90.0, 200.0, 250.0, 300.0]) * 1e-6
 NAMES = tuple(f"torque{j}_Nm" for j in range(1, 7))

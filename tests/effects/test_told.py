@@ -17,11 +17,7 @@ from instruments_on_ur5 import tips as as_drawn
 
 from casacal import (
     CasacalError,
-    Disturbances,
     Problem,
-    ProblemError,
-    SamplesError,
-    Session,
     TrackedPoint,
     bind,
     calibrate,
@@ -39,7 +35,10 @@ from casacal.cli.main import main
 from casacal.deployment.predict import predict
 from casacal.deployment.result_file import check_document
 from casacal.effects import Backlash, GravitySag, LinkSag, TorqueCompliance, with_kit
+from casacal.errors import ProblemError, SamplesError
 from casacal.model.links import Links
+from casacal.shopfloor import Session
+from casacal.simulation import Disturbances
 from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 
 GIVE = np.array([60.0, 120.0, 90.0, 200.0, 250.0, 300.0]) * 1e-6

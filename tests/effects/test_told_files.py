@@ -5,11 +5,12 @@ import pytest
 from instruments_on_ur5 import ROBOT
 from test_told import POINT, TORQUES, USUAL, by_name, postures, table
 
-from casacal import Problem, Samples, SamplesError, bind
+from casacal import Problem, Samples, bind
 from casacal.calibration.inputs import samples_from
 from casacal.deployment.compensate import read_targets
 from casacal.deployment.predict import joints_from
 from casacal.effects import GravitySag, TorqueCompliance
+from casacal.errors import SamplesError
 from casacal.model.problem_file import ProblemFile
 
 PROBLEM = Problem(ROBOT, POINT, terms=(TorqueCompliance(columns_of=TORQUES), GravitySag(payload="payload_kg")))

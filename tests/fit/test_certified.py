@@ -6,7 +6,8 @@ from nist_strd import MODELS, SETS, Regression
 from oracles import central_difference
 from scipy.optimize import least_squares
 
-from casacal import Status, bind, lm
+from casacal import bind, lm
+from casacal.fit import Status
 
 HARDEST = ("MGH17", 0)
 """Its decays are over before the second observation: a plateau from which every way leads up."""

@@ -17,7 +17,6 @@ from scipy.optimize import differential_evolution, dual_annealing, least_squares
 from casacal import (
     Parameter,
     Problem,
-    Simulated,
     annealing,
     bind,
     calibrate,
@@ -27,20 +26,19 @@ from casacal import (
     lm,
     load_problem,
     nominal,
-    null_step,
-    plane_only,
     plate,
-    scipy_least_squares,
     sckf,
     sckf_lm,
     simulate,
     swarm,
 )
 from casacal.errors import ProblemError
+from casacal.fit import null_step, plane_only, scipy_least_squares
 from casacal.fit.filters import Belief, cubature_update, linear_update, predict
 from casacal.fit.ipopt import Objective
 from casacal.fit.least_squares import DampedStep, Normal, Status
 from casacal.fit.lm import Damping, Move, Point, Shortest, acceptable, given_up, next_move
+from casacal.simulation import Simulated
 from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 
 ALL = {"lm": lm, "sckf": sckf, "sckf_lm": sckf_lm, "ekf": ekf, "ipopt": ipopt, "scipy": scipy_least_squares}

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from casacal import ProblemError, bind, calibrate, lm, load, load_problem, simulate
+from casacal import bind, calibrate, lm, load, load_problem, simulate
 from casacal.calibration.check import _few_of_each_face
 from casacal.calibration.verdict import verdict_of
 from casacal.effects.selection import with_effects
+from casacal.errors import ProblemError
 from casacal.fit.ipopt import Objective
 from casacal.fit.seen import seen
 from casacal.linalg import determined

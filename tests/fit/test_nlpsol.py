@@ -11,10 +11,13 @@ import pytest
 from linear import Matrix, as_symbols, random_linear
 from oracles import posterior
 
-from casacal import CasacalError, Method, Simulated, Status, Study, calibrate, huber, lm, nlpsol
+from casacal import CasacalError, calibrate, huber, lm
 from casacal.cli.main import main
 from casacal.errors import ProblemError
+from casacal.fit import Status, nlpsol
 from casacal.fit.ipopt import Objective, _program
+from casacal.simulation import Simulated
+from casacal.study import Method, Study
 from casacal.study.trial import Task, perform
 
 SOLVERS = [

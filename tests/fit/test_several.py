@@ -15,12 +15,9 @@ from three_instruments import CELL, COUNTS, INSTRUMENTS, problem
 from casacal import (
     CasacalError,
     DialOnPlane,
-    Disturbances,
     FixedPoint,
     Measurements,
     Problem,
-    ProblemError,
-    SimulationError,
     TrackedPoint,
     bind,
     calibrate,
@@ -38,9 +35,10 @@ from casacal.deployment.arm import covariance_of, seen_by
 from casacal.deployment.as_data import problem_data, problem_from
 from casacal.deployment.predict import predict
 from casacal.deployment.remark import remark
-from casacal.errors import UnknownNameError
+from casacal.errors import ProblemError, SimulationError, UnknownNameError
+from casacal.simulation import Disturbances
 from casacal.uncertainty.figures import nees
-from casacal.uncertainty.learned_priors import prior_tip_rms, scaled_to_accuracy
+from casacal.uncertainty.priors import prior_tip_rms, scaled_to_accuracy
 from casacal.uncertainty.tip_error import bayesian_bound, tip_rms, without_rigid, workspace_joints
 
 SOURCE = "from three_instruments import problem, CELL\n\ncell = CELL\n"

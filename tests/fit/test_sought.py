@@ -10,13 +10,11 @@ from conftest import ROOT
 
 from casacal import (
     Direction,
-    Disturbances,
     Frame,
     Instrument,
     Parameter,
     Plane,
     Problem,
-    ProblemError,
     TrackedPoint,
     bind,
     calibrate,
@@ -25,8 +23,10 @@ from casacal import (
     simulate,
     verify,
 )
+from casacal.errors import ProblemError
 from casacal.model.kinematics import position, rotation, transform_point
 from casacal.model.unknown import Unknown
+from casacal.simulation import Disturbances
 
 POINT = ("_x", "_y", "_z")
 

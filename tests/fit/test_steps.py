@@ -12,7 +12,8 @@ from linear import Matrix, Weighing, as_symbols, random_linear
 from oracles import cubature_step
 from test_kernels import BACKENDS, HAS_COMPILER, bounds
 
-from casacal import BoundProblem, DialOnPlane, Problem, Samples, TrackedPoint, bind, ekf, lm, sckf
+from casacal import DialOnPlane, Problem, Samples, TrackedPoint, bind, ekf, lm, sckf
+from casacal.fit import BoundProblem
 from casacal.fit import least_squares as objective
 from casacal.fit.filters import Belief, cubature_update, linear_update
 from casacal.fit.least_squares import Conditioned, LeastSquares

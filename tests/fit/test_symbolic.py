@@ -12,8 +12,9 @@ import pytest
 from conftest import ROOT
 from test_symbols import hsr_row, tracked, tracked_row, ur5_row
 
-from casacal import DialOnPlane, Problem, Samples, SymbolicProblem, TrackedPoint, bind, huber, ipopt, lm, load_problem
+from casacal import DialOnPlane, Problem, Samples, TrackedPoint, bind, huber, ipopt, lm, load_problem
 from casacal.errors import ProblemError
+from casacal.fit import SymbolicProblem
 from casacal.fit.filters import Belief, cubature_update
 from casacal.fit.least_squares import LeastSquares
 from casacal.study.trial import Metered

@@ -8,22 +8,12 @@ import pytest
 from instruments_on_ur5 import ROBOT, ROOT, TOOL, flanges
 from scipy.spatial.transform import Rotation
 
-from casacal import (
-    Disturbances,
-    Problem,
-    ProblemError,
-    TrackedPoint,
-    calibrate,
-    carried,
-    facing,
-    load_problem,
-    rail,
-    simulate,
-    tool_point,
-    turntable,
-)
+from casacal import Problem, TrackedPoint, calibrate, load_problem, simulate, tool_point
 from casacal.cli.main import main
 from casacal.effects import LinkSag
+from casacal.errors import ProblemError
+from casacal.model import carried, facing, rail, turntable
+from casacal.simulation import Disturbances
 
 TRACKER = TrackedPoint(noise_std=0.02, tool=tool_point(*TOOL, prior_std=1.0))
 ALONG = np.array([3.0, 4.0, 0.0]) / 5

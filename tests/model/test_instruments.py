@@ -12,26 +12,14 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from casacal import (
-    Disturbances,
-    FixedPoint,
-    KnownPoint,
-    Parameter,
-    Problem,
-    ProblemError,
-    Samples,
-    Sight,
-    Sockets,
-    bind,
-    check,
-    lm,
-    simulate,
-    tool_point,
-)
+from casacal import FixedPoint, KnownPoint, Parameter, Problem, Samples, Sockets, bind, check, lm, simulate, tool_point
 from casacal.cli.main import main
 from casacal.data.columns import Labels
 from casacal.deployment.as_data import problem_from
+from casacal.errors import ProblemError
+from casacal.model import Sight
 from casacal.model.geometry import rigid_fit
+from casacal.simulation import Disturbances
 from casacal.uncertainty.figures import nees
 from casacal.uncertainty.tip_error import bayesian_bound, tip_rms, without_rigid, workspace_joints
 

@@ -9,7 +9,8 @@ import pytest
 from oracles import dh_chain, modified_dh_chain, rot_x, rot_z
 from scipy.spatial.transform import Rotation
 
-from casacal import ProblemFile, Robot, chain, deg, dh, modified_dh
+from casacal import Robot, chain, deg, dh, modified_dh
+from casacal.model import ProblemFile
 from casacal.model import kinematics as k
 
 COUNT = 20

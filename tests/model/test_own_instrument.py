@@ -17,13 +17,11 @@ from scipy.spatial.transform import Rotation
 
 from casacal import (
     CasacalError,
-    Disturbances,
     Instrument,
     Parameter,
     Plane,
     Problem,
-    ProblemError,
-    SimulationError,
+    Samples,
     bind,
     calibrate,
     check,
@@ -31,10 +29,13 @@ from casacal import (
     load_problem,
     simulate,
 )
-from casacal.calibration.inputs import METHODS
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
+from casacal.deployment.as_data import problem_data, problem_from
+from casacal.errors import ProblemError, SimulationError
+from casacal.fit.methods import METHODS
 from casacal.model.kinematics import position, rotation
+from casacal.simulation import Disturbances
 
 
 @pytest.fixture(scope="module", params=SOURCES)
@@ -378,6 +379,34 @@ def test_simulated_readings_keep_to_what_a_device_can_show():
     assert 0 < kept.columns["range"].min() < kept.columns["range"].max() < 3000
     with pytest.raises(SimulationError, match=r"inside the limits of .* and its readings"):
         simulate(laser(reading_limits={"range": (-2.0, -1.0)}), samples=5, seed=1)
+
+
+class HeightGauge(Instrument):
+    """A gauge on a plate reads how high the tip stands above it; its column is called like the height of a step."""
+
+    columns: ClassVar = {"height": "length"}
+    column_stds: ClassVar = {"height": 0.01}
+    reading_limits: ClassVar = {"height": (0.0, 300.0)}
+    unknowns: ClassVar = {"plate": Plane(per="plate")}
+
+    def residual(self, pose, p, row):
+        return p.plate.distance(position(pose)) - row.height
+
+    def propose(self, key, sight):
+        return sight.touched_plane()
+
+
+def test_a_reading_called_height_is_no_known_height():
+    """A reading was once taken off as if it were a step's height, in what a folder of a result had kept."""
+    problem = Problem(load_problem(ROOT / "problems" / "hsr_jr680").problem.robot, HeightGauge())
+    rng = np.random.default_rng(3)
+    joints = rng.uniform(-0.5, 0.5, (40, 6))
+    columns = {f"q{k}_rad": joints[:, k - 1] for k in range(1, 7)}
+    columns |= {"height_mm": rng.uniform(0, 300, 40), "plate": ["a"] * 40}
+    rows = Samples.from_arrays(columns, problem.layout())
+    kept = problem_from(problem_data(problem))
+    assert type(kept.instrument).__name__ == "TracedInstrument"
+    np.testing.assert_allclose(bind(kept, rows).x0, bind(problem, rows).x0)
 
 
 class CrossTable(Instrument):

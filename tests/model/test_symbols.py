@@ -13,8 +13,9 @@ import pytest
 from conftest import ROOT
 from oracles import central_difference, dh_chain, rot_x, rot_z, shift
 
-from casacal import CasacalError, DialOnPlane, Parameter, Problem, Robot, Symbols, TrackedPoint, calibrate, load_problem
+from casacal import CasacalError, DialOnPlane, Parameter, Problem, Robot, TrackedPoint, calibrate, load_problem
 from casacal.errors import ProblemError
+from casacal.model import Symbols
 from casacal.model.kinematics import translate_x
 
 HSR = {

@@ -10,14 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from casacal import (
     CasacalError,
-    Disturbances,
     Frame,
     Instrument,
     Parameter,
     Problem,
-    ProblemError,
-    ResidualBlock,
-    SimulationError,
     TrackedPose,
     bind,
     calibrate,
@@ -30,9 +26,12 @@ from casacal import (
 from casacal.calibration.report_pictures import Touches
 from casacal.calibration.verdict import verdict_of
 from casacal.effects import Drift, with_kit
+from casacal.errors import ProblemError, SimulationError
+from casacal.model import ResidualBlock
 from casacal.model.geometry import hand_eye
 from casacal.model.kinematics import position
 from casacal.model.tracked_pose import QUATERNION, chord
+from casacal.simulation import Disturbances
 
 problem = PROBLEMS["TrackedPose"]
 SIX = Frame(np.eye(4), prior_std=(1e-3, 1.0))

@@ -11,10 +11,8 @@ from scipy.stats import chi2
 from two_arms import balls, problem
 
 from casacal import (
-    Disturbances,
     Parameter,
     Problem,
-    ProblemError,
     Robot,
     Samples,
     SelfContact,
@@ -22,7 +20,6 @@ from casacal import (
     calibrate,
     check,
     deg,
-    facing,
     ipopt,
     lm,
     load,
@@ -31,6 +28,9 @@ from casacal import (
 )
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
+from casacal.errors import ProblemError
+from casacal.model import facing
+from casacal.simulation import Disturbances
 from casacal.uncertainty.figures import nees
 from casacal.uncertainty.tip_error import bayesian_bound, tip_rms, without_rigid, workspace_joints
 

@@ -13,7 +13,6 @@ from robots_of_others import UR5_CSV
 from casacal import (
     Cell,
     DialOnPlane,
-    Disturbances,
     Joint,
     Parameter,
     Plane,
@@ -35,6 +34,7 @@ from casacal.data.columns import Labels
 from casacal.data.samples import joined
 from casacal.planning.cures import NO_CURE, cures, extra_samples, outcomes
 from casacal.planning.offers import CalibratedCell, offers
+from casacal.simulation import Disturbances
 from casacal.uncertainty.tip_error import expected_accuracy, planned_accuracy
 
 FLAT = Cell(faces=plate((1350.0, 0.0, 500.0)), tilt=0.0)

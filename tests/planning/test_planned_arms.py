@@ -12,8 +12,9 @@ import pytest
 from conftest import ROOT
 from planned_arms import ARMS
 
-from casacal import CasacalError, Cell, Face, Parameter, Robot, SimulationError, chain, corner, load_problem, plan
+from casacal import CasacalError, Cell, Face, Parameter, Robot, chain, corner, load_problem, plan
 from casacal.cli.main import main
+from casacal.errors import SimulationError
 from casacal.model.kinematics import translate_x
 from casacal.model.links import above_table
 from casacal.planning.candidates import Clearance

@@ -13,9 +13,10 @@ from measured_world import World, taken
 from scipy.optimize import least_squares
 from scipy.stats import chi2, multivariate_normal
 
-from casacal import CasacalError, Session, bind, lm, load_problem, plan
+from casacal import CasacalError, bind, lm, load_problem, plan
 from casacal.model.links import nodes_of
 from casacal.planning.candidates import Clearance
+from casacal.shopfloor import Session
 from casacal.shopfloor.conversation import ended
 from casacal.shopfloor.known import LinearRows, _fitted, error_below, spectrum
 from casacal.shopfloor.touch import Touch, rows_of, slips_of

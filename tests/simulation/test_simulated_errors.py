@@ -11,10 +11,11 @@ from conftest import ROOT
 from oracles import dh_chain
 from scipy.spatial.distance import pdist
 
-from casacal import Cell, DialOnPlane, Disturbances, Problem, TrackedPoint, bind, load_problem, simulate
+from casacal import Cell, DialOnPlane, Problem, TrackedPoint, bind, load_problem, simulate
 from casacal.cli.main import main
 from casacal.errors import SimulationError
 from casacal.fit.bound_problem import SHARED
+from casacal.simulation import Disturbances
 from casacal.simulation.cell import form_error
 from casacal.simulation.faults import gross_errors
 

@@ -13,7 +13,6 @@ from casacal import (
     Cell,
     DialOnPlane,
     Direction,
-    Disturbances,
     Face,
     FixedPoint,
     Joint,
@@ -35,6 +34,7 @@ from casacal import (
 )
 from casacal.errors import SimulationError
 from casacal.model.kinematics import rotate_z, translate_x
+from casacal.simulation import Disturbances
 from casacal.simulation.bench import Bench
 from casacal.simulation.cell import flatness_din_876, form_error
 from casacal.simulation.touches import default_cell

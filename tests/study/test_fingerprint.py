@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from casacal import Simulated, lm, swarm
+from casacal import lm, swarm
 from casacal.kernels.losses import huber
+from casacal.simulation import Simulated
 from casacal.study.description import code_fingerprint, fingerprint
 
 FACTOR = 2.0

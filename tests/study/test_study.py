@@ -16,9 +16,11 @@ import pytest
 import tiny_study
 from conftest import ROOT
 
-from casacal import Method, Simulated, Study, lm, sckf, swarm
+from casacal import lm, sckf, swarm
 from casacal.cli.main import main
 from casacal.errors import StudyError
+from casacal.simulation import Simulated
+from casacal.study import Method, Study
 from casacal.study.description import appending, merged, read_records, records_digest, to_line
 from casacal.study.runs import RECORDS, merge, open_run, run
 from casacal.study.trial import Task, perform
@@ -422,7 +424,7 @@ LOST = """
 import subprocess, sys
 sys.path[:0] = [sys.argv[1], sys.argv[1] + "/tests"]
 from pathlib import Path
-from casacal import StudyError
+from casacal.errors import StudyError
 from casacal.study.runs import run
 import tiny_study
 scheduler = subprocess.Popen([sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port",

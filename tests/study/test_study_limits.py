@@ -18,9 +18,9 @@ from conftest import ROOT
 from hears_signals import hears_signals
 from test_study import alive, count_lines, within
 
-from casacal import Study
 from casacal.cli.main import main
 from casacal.errors import StudyError
+from casacal.study import Study
 from casacal.study.description import LIMIT, merged, read_records, to_line
 from casacal.study.runs import RECORDS, open_run, run
 from casacal.study.study_file import load_study

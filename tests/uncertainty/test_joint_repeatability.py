@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from casacal import Joint, Problem, ProblemError, bind, calibrate, load, load_problem, simulate, verify
+from casacal import Joint, Problem, bind, calibrate, load, load_problem, simulate, verify
 from casacal.calibration.verdict import verdict_of
 from casacal.effects import GearRipple, kit, with_kit
 from casacal.effects import selection as discrepancy
 from casacal.effects.selection import _Linear
+from casacal.errors import ProblemError
 from casacal.fit.bound_problem import OTHERS, REPEATABILITY, times
 from casacal.fit.lm import lm
 from casacal.linalg import posterior_covariance

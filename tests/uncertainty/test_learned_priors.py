@@ -6,18 +6,9 @@ import numpy as np
 import pytest
 from instruments_on_ur5 import ROBOT, TOOL
 
-from casacal import (
-    CasacalError,
-    Disturbances,
-    LearnedPriors,
-    Problem,
-    TrackedPoint,
-    calibrate,
-    learned_priors,
-    load_problem,
-    simulate,
-    tool_point,
-)
+from casacal import CasacalError, Problem, TrackedPoint, calibrate, load_problem, simulate, tool_point
+from casacal.simulation import Disturbances
+from casacal.uncertainty import LearnedPriors, learned_priors
 
 TRACKER = Problem(ROBOT, TrackedPoint(noise_std=0.05, tool=tool_point(*TOOL, prior_std=1.0)))
 

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from casacal import CasacalError, LeastSquares, Problem, bind, calibrate, huber, lm, simulate
+from casacal import CasacalError, Problem, bind, calibrate, huber, lm, simulate
 from casacal.calibration.summary import next_step, summary
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.data.columns import Labels
 from casacal.data.repeats import copies_of
 from casacal.data.samples import Samples, write_samples
+from casacal.fit import LeastSquares
 from casacal.linalg import determined
 from casacal.uncertainty.figures import effective_unknowns, leverages, noise_interval
 from casacal.uncertainty.noise import found_noise

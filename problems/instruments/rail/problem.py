@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from casacal import Problem, TrackedPoint, carried, load_problem, rail, tool_point
+from casacal import Problem, TrackedPoint, load_problem, tool_point
+from casacal.model import carried, rail
 
 arm = load_problem(Path(__file__).parents[2] / "ur5").problem.robot
 tracker = TrackedPoint(noise_std=0.05, tool=tool_point(40, 0, 60, prior_std=1.0))

@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from casacal import Parameter, Problem, SelfContact, facing, load_problem, tool_point
+from casacal import Parameter, Problem, SelfContact, load_problem, tool_point
+from casacal.model import facing
 
 arm = load_problem(Path(__file__).parents[2] / "ur5").problem.robot
 balls = SelfContact(

@@ -6,7 +6,8 @@ from typing import Any
 
 import casadi as ca
 
-from casacal import Frame, Instrument, Problem, Robot, Words
+from casacal import Frame, Instrument, Problem, Robot
+from casacal.model import Words
 from casacal.model.kinematics import transform_point
 
 AT_REST = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))

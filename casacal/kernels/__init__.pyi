@@ -1,0 +1,3 @@
+"""Public names of this chapter and the modules that define them; `__init__.py` reads them from here when it runs."""
+
+from casacal.kernels.losses import Loss as Loss
