@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 
 from casacal.cli.common import BAD_INPUT, DONE, FAILED, INTERRUPTED
 from casacal.cli.terminal import complain, finish, prepare, words_beside
-from casacal.errors import CasacalError, RefusedResultError
+from casacal.errors import CasacalError, RefusedResultError, refuse_unknown
 from casacal.public import __version__
 from casacal.threads import one_thread_each
 
@@ -64,25 +64,15 @@ def heard(run: Callable[[], int]) -> int:
     return code
 
 
-COMMANDS = (
-    "new",
-    "doctor",
-    "plan",
-    "measure",
-    "check",
-    "calibrate",
-    "verify",
-    "changed",
-    "predict",
-    "compensate",
-    "export",
-    "simulate",
-    "demo",
-    "study",
-    "bench",
-    "schema",
-    "completion",
-)
+GROUPS = {
+    "describe the arm": ("new", "doctor"),
+    "measure": ("plan", "measure", "check"),
+    "calibrate": ("calibrate", "verify", "changed"),
+    "use the calibrated arm": ("predict", "compensate", "export"),
+    "simulate and compare": ("simulate", "demo", "study", "bench"),
+    "for other programs": ("schema", "completion"),
+}
+COMMANDS = tuple(name for names in GROUPS.values() for name in names)
 """In the order of the work. Each is a module of `casacal.cli` with `HELP`, `add_arguments(parser)` and `run(options)`,
 imported when it is typed."""
 
@@ -97,6 +87,24 @@ class _Parser(argparse.ArgumentParser):
     """Refuses in one line, as every other refusal of casacal; `commands` are the parsers below it."""
 
     commands: dict[str, argparse.ArgumentParser]
+
+    def format_help(self) -> str:
+        """Help of argparse, but with the commands in their groups where there are any."""
+        below = self._subparsers
+        if below is None:
+            return super().format_help()
+        entry = {each.dest: each for each in below._group_actions[0]._get_subactions()}  # type: ignore[attr-defined]
+        shown = self._get_formatter()
+        shown.add_usage(self.usage, self._actions, self._mutually_exclusive_groups)
+        shown.add_text(self.description)
+        options = [each for each in self._actions if each.option_strings]
+        listed = [(title, [entry[name] for name in names if name in entry]) for title, names in GROUPS.items()]
+        for title, actions in [*listed, ("options", options)]:
+            shown.start_section(title)
+            shown.add_arguments(actions)
+            shown.end_section()
+        shown.add_text(self.epilog)
+        return shown.format_help()
 
     def error(self, message: str) -> NoReturn:
         command = self.prog.removeprefix("casacal").strip()
@@ -145,6 +153,8 @@ def _caught(typed: list[str]) -> int:
         if not typed:
             parser.print_help()
             return DONE
+        if not typed[0].startswith("-"):
+            refuse_unknown("command", typed[:1], COMMANDS)
         if typed[0] in COMMANDS:  # options may stand between what a command is about, which argparse lets none below
             options = parser.commands[typed[0]].parse_intermixed_args(typed[1:])
         else:

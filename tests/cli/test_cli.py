@@ -323,7 +323,7 @@ def test_a_slip_in_pose_is_one_line_of_every_command(run, tmp_path, command, lin
     ("arguments", "says"),
     [
         (["--json"], "unrecognized"),
-        (["nonsense"], "invalid choice"),
+        (["nonsense"], "There is no command named 'nonsense'. Known: new, doctor"),
         (["calibrate"], "PROBLEM"),
         (["calibrate", "nowhere"], "no problem at 'nowhere'"),
         (["predict", "result.json", "at.csv", "--out", "-"], "--out - names no file. Standard output is /dev/stdout"),

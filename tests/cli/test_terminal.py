@@ -145,7 +145,9 @@ def test_version_and_no_command(capsys):
     code, out, err = call(capsys)
     assert (code, err) == (0, "")
     assert out.startswith("usage: casacal")
-    assert all(name in out for name in COMMANDS)
+    listed = re.findall(r"^  ([a-z]+)  +[a-z]", out, re.M)
+    assert listed == list(COMMANDS)
+    assert out.index("measure:") < out.index("  plan ") < out.index("calibrate:") < out.index("  verify ")
 
 
 ENCODINGS = ("cp932", "ascii", "latin-1", "utf-8", "cp1252:strict", "ascii:surrogateescape")
