@@ -197,7 +197,7 @@ class Inbox:
         self._typed, self._notes = deque[str | None](), deque[str]()
         self._sent: str | None = None
         self._last, self._quiet, self._due, self._more = -math.inf, math.inf, 0.0, 0
-        self._open, self._wanted, self._told = False, False, False
+        self._open, self._wanted, self._noted = False, False, False
 
     def type(self, line: str | None) -> None:
         """A line of the keyboard; None where there will be no more."""
@@ -214,16 +214,16 @@ class Inbox:
                 self._sent, self._open, self._more = line, False, 0
                 self._due = self._last + (0.0 if self._wanted else HOLD)
             else:
-                asked, self._more = self._open or self._sent is not None, self._more + 1
+                awaited, self._more = self._open or self._sent is not None, self._more + 1
                 if self._sent is not None and self._more >= STREAM and self._last < self._due:
                     self._sent, self._open = None, True
-                if not self._told:
-                    why = f"{quiet:.1f} s after another line" if asked else "before it was asked for"
+                if not self._noted:
+                    why = f"{quiet:.1f} s after another line" if awaited else "before it was asked for"
                     self._notes.append(
                         f"Not taken: {line.strip()}, which the gauge sent {why}. Send it again after {QUIET:g} s, or "
                         "press Enter to take its next line"
                     )
-                self._told = True
+                self._noted = True
             self._came.notify()
 
     def note(self, words: str) -> None:
@@ -235,7 +235,7 @@ class Inbox:
     def prompted(self) -> None:
         """From now on a reading is waited for."""
         with self._came:
-            self._sent, self._open, self._wanted, self._told = None, True, False, False
+            self._sent, self._open, self._wanted, self._noted = None, True, False, False
 
     def take_next(self) -> None:
         """Accept the gauge's next line, even one of a stream."""

@@ -63,9 +63,9 @@ class Alarm(Value):
     suspects: tuple[Suspected, ...]
 
     @staticmethod
-    def of(rows: LinearRows, told: ShiftedBelief, k: int, suspects: tuple[Suspected, ...], number: int) -> Alarm:
+    def of(rows: LinearRows, belief: ShiftedBelief, k: int, suspects: tuple[Suspected, ...], number: int) -> Alarm:
         """By row k, a touch of some number, where others tell something; of several numbers, their lengths."""
-        off, std = rows.off(told, k)
+        off, std = rows.off(belief, k)
         size = float(off[0]) if len(off) == 1 else float(np.linalg.norm(off))  # a single number keeps its sign
         return Alarm(number, size, float(np.linalg.norm(std)), suspects)
 
@@ -95,18 +95,18 @@ def examined(
         return None
     closer = sorted((k for k in looked if chances[k] < CLOSER_LOOK), key=chances.__getitem__)[:LOOKED_INTO]
     raised = last if fresh else min(off, key=chances.__getitem__)
-    told = {numbers[k]: rows.without(k).told(mean) for k in dict.fromkeys([raised, *closer])}
-    suspects = _explained(known, told, slips, rows.noise[0], float(np.median(rows.noise)))
-    return Alarm.of(rows, told[numbers[raised]], raised, suspects, numbers[raised])
+    beliefs = {numbers[k]: rows.without(k).posterior(mean) for k in dict.fromkeys([raised, *closer])}
+    suspects = _explained(known, beliefs, slips, rows.noise[0], float(np.median(rows.noise)))
+    return Alarm.of(rows, beliefs[numbers[raised]], raised, suspects, numbers[raised])
 
 
 def judged_alone(known: Known, touch: Touch, slips: Callable[[int], list[Slip]], number: int) -> Alarm | None:
     """Look at a touch that is not taken in, by what is known; None where it agrees."""
     if touch.kept or chance_of(known, [touch]) >= NEW:
         return None
-    rows, told = LinearRows.of(known, [touch]), ShiftedBelief.by(known.belief)
+    rows, belief = LinearRows.of(known, [touch]), ShiftedBelief.by(known.belief)
     usual = float(np.median(known.bound.block.noise))
-    return Alarm.of(rows, told, 0, _explained(known, {number: told}, slips, rows.noise[0], usual), number)
+    return Alarm.of(rows, belief, 0, _explained(known, {number: belief}, slips, rows.noise[0], usual), number)
 
 
 def refuse_along(known: Known, touch: Touch) -> None:
@@ -120,9 +120,9 @@ def refuse_along(known: Known, touch: Touch) -> None:
 
 def _chances(rows: LinearRows, mean: Array) -> Array:
     """Chance of each touch (touches,) by all others."""
-    told, m = rows.told(mean), rows.residual.shape[1]
-    left = rows.residual + np.einsum("kin,n->ki", rows.slope, told.shift)
-    free = np.eye(m) - np.einsum("kin,nl,kjl->kij", rows.slope, told.covariance, rows.slope)
+    belief, m = rows.posterior(mean), rows.residual.shape[1]
+    left = rows.residual + np.einsum("kin,n->ki", rows.slope, belief.shift)
+    free = np.eye(m) - np.einsum("kin,nl,kjl->kij", rows.slope, belief.covariance, rows.slope)
     some = np.einsum("kii->k", free) > 1e-9 * m  # of a face's only touches nobody can say anything
     squares = np.zeros(len(left))
     squares[some] = np.einsum("ki,ki->k", left[some], np.linalg.solve(free[some], left[some][..., None])[..., 0])
@@ -130,13 +130,13 @@ def _chances(rows: LinearRows, mean: Array) -> Array:
 
 
 def _explained(
-    known: Known, told: Mapping[int, ShiftedBelief], slips: Callable[[int], list[Slip]], noise: Array, usual: float
+    known: Known, beliefs: Mapping[int, ShiftedBelief], slips: Callable[[int], list[Slip]], noise: Array, usual: float
 ) -> tuple[Suspected, ...]:
     """Explanations of touches by their numbers, likeliest first, the best of each kind; noise of a touch (m,), mm."""
     # range of a stray touch in units of its noise, as the evidence counts rows: less ln(2 pi) / 2
     stray = float(np.log(STRAY / np.minimum(noise, STRAY / 2)).sum() - len(noise) * math.log(2 * math.pi) / 2)
     scores: list[tuple[int, Slip | None, float]] = []
-    for number, rest in told.items():
+    for number, rest in beliefs.items():
         scores.append((number, None, rest.evidence + STRAY_WEIGHT - stray))
         others = [slip for slip in slips(number) if known.knows(slip.touch)]  # not a face that nobody has touched
         if not others:
@@ -189,9 +189,9 @@ class SessionSetting(Value):
         problem: Problem, plan: Samples | None, cell: Disturbances | None, clearance: Clearance | None
     ) -> SessionSetting:
         """Of a plan's rows, or of none."""
-        if plan is None or not (told := telling(problem, plan, {})):  # faces that are planned too seldom have no place
+        if plan is None or not (rows := telling(problem, plan, {})):  # faces that are planned too seldom have no place
             return SessionSetting(problem, None, {}, cell, clearance)
-        placed = plan.take(told)
+        placed = plan.take(rows)
         places = proposed_places(bind(problem.without_terms, placed).slots)
         return SessionSetting(problem, placed, places, cell, clearance)
 
@@ -285,7 +285,7 @@ def proposed_places(slots: Sequence[Slot]) -> dict[str, Array]:
 
 def telling(problem: Problem, samples: Samples, places: Places) -> list[int]:
     """Which rows tell something: those of faces that are planned or were touched often enough."""
-    told = np.ones(len(samples), dtype=bool)
+    usable = np.ones(len(samples), dtype=bool)
     for name, rows, enough in _proposing(problem, samples):
         if name in places:
             continue
@@ -294,8 +294,8 @@ def telling(problem: Problem, samples: Samples, places: Places) -> list[int]:
                 make_slots(problem, (samples.take(rows),), places)
         except ProblemError:  # touches on a line do not say where a face is
             enough = False
-        told[rows] &= enough
-    return [int(k) for k in np.flatnonzero(told)]
+        usable[rows] &= enough
+    return [int(k) for k in np.flatnonzero(usable)]
 
 
 def known_from(
@@ -350,9 +350,9 @@ def _noise_over_stated(bound: BoundProblem, belief: Belief) -> float:
     pull, prior = right @ slopes.T @ r, right @ belief.mean
 
     def likelihood(factor: float) -> float:
-        told, toward = 1 + squares / factor**2, pull / factor**2 + prior
-        left = float(r @ r) / factor**2 + float(prior @ prior) - float(toward @ (toward / told))
-        return -(left + float(np.log(told).sum())) / 2 - len(r) * math.log(factor)
+        information, toward = 1 + squares / factor**2, pull / factor**2 + prior
+        left = float(r @ r) / factor**2 + float(prior @ prior) - float(toward @ (toward / information))
+        return -(left + float(np.log(information).sum())) / 2 - len(r) * math.log(factor)
 
     best = max(FACTORS, key=likelihood)
     return best if likelihood(best) >= likelihood(1.0) + TELLING else 1.0
@@ -453,7 +453,7 @@ class LinearRows:
         """All but one."""
         return LinearRows(*(np.delete(part, k, axis=0) for part in (self.residual, self.slope, self.noise)))
 
-    def told(self, mean: Array) -> ShiftedBelief:
+    def posterior(self, mean: Array) -> ShiftedBelief:
         """Posterior of the shift, with a unit prior about -mean."""
         r, j = self.residual.ravel(), self.slope.reshape(-1, mean.size)
         information, gradient = np.eye(mean.size) + j.T @ j, j.T @ r + mean
@@ -462,23 +462,23 @@ class LinearRows:
         chi_square = r @ r + mean @ mean + gradient @ shift
         return ShiftedBelief(shift, covariance, -float(chi_square + np.linalg.slogdet(information)[1]) / 2)
 
-    def off(self, told: ShiftedBelief, k: int) -> tuple[Array, Array]:
+    def off(self, belief: ShiftedBelief, k: int) -> tuple[Array, Array]:
         """By how much a touch is off, and the standard deviation of that (m,), mm."""
-        value, spread = told.of(self.residual[k], self.slope[k])
+        value, spread = belief.of(self.residual[k], self.slope[k])
         return value * self.noise[k], np.sqrt(np.diagonal(spread)) * self.noise[k]
 
 
 def innovations_at(known: Known, touches: Sequence[Touch]) -> tuple[Array, Array]:
     """Predicted residual of each touch if it came next, and its standard deviation, both (touches, m), mm."""
-    rows, told = LinearRows.of(known, touches), ShiftedBelief.by(known.belief)
-    found = np.array([rows.off(told, k) for k in range(len(touches))])
+    rows, belief = LinearRows.of(known, touches), ShiftedBelief.by(known.belief)
+    found = np.array([rows.off(belief, k) for k in range(len(touches))])
     return found[:, 0], found[:, 1]
 
 
 def chance_of(known: Known, touches: Sequence[Touch]) -> float:
     """Chance that touches are together so far off where all is as is known: chi-square, what they share counted."""
-    rows, told = LinearRows.of(known, touches), ShiftedBelief.by(known.belief)
-    value, spread = told.of(rows.residual.ravel(), rows.slope.reshape(-1, told.shift.size))
+    rows, belief = LinearRows.of(known, touches), ShiftedBelief.by(known.belief)
+    value, spread = belief.of(rows.residual.ravel(), rows.slope.reshape(-1, belief.shift.size))
     return chance(square(value, spread), len(value))
 
 
@@ -528,6 +528,6 @@ class Pool(Value):
                 return count
             slope = self.slopes[self.most_telling(covariance, field)]
             across = slope @ covariance
-            told = np.eye(len(slope)) + across @ slope.T
-            covariance = covariance - across.T @ np.linalg.solve(told, across)
+            innovation = np.eye(len(slope)) + across @ slope.T
+            covariance = covariance - across.T @ np.linalg.solve(innovation, across)
         return None
