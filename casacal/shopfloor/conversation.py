@@ -74,7 +74,7 @@ def command_of(line: str) -> tuple[str, int | None] | None:
 
 
 def touch_of(line: str, layout: Layout, planned: Touch | None, gauge: Gauge) -> Typed:
-    """The touch that a line says: readings alone where joints are as planned, or joints and readings, then labels.
+    """Parse a typed touch: readings alone where joints are as planned, or joints and readings, then labels.
 
     Angles are typed in degrees, lengths in mm; numbers are apart by blanks or semicolons, or by commas where they have
     points. A single number is read as the gauge would write it. Raises CasacalError for lines that are neither.
@@ -230,7 +230,7 @@ def posture(touch: Touch, layout: Layout) -> str:
 
 
 def _report(session: Session) -> str:
-    """Report of the last touch, and of where the session stands."""
+    """Report of the last touch and of the state of the session."""
     state, last = session.state, session.touches[-1]
     said = [f"touch {session.shown(len(session) - 1)} made, {len(session)} in all"]
     if state.off is not None and state.std is not None:

@@ -1,4 +1,4 @@
-"""What all touches so far tell of the arm, and mistakes that would explain the latest one."""
+"""Belief about the arm after the touches so far, and typing mistakes that would explain the latest one."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Alarm(Value):
 
     @staticmethod
     def of(rows: LinearRows, belief: ShiftedBelief, k: int, suspects: tuple[Suspected, ...], number: int) -> Alarm:
-        """By row k, a touch of some number, where others tell something; of several numbers, their lengths."""
+        """Alarm by row k, the touch `number`, against a belief from others; several residuals count by their norm."""
         off, std = rows.off(belief, k)
         size = float(off[0]) if len(off) == 1 else float(np.linalg.norm(off))  # a single number keeps its sign
         return Alarm(number, size, float(np.linalg.norm(std)), suspects)
@@ -101,7 +101,7 @@ def examined(
 
 
 def judged_alone(known: Known, touch: Touch, slips: Callable[[int], list[Slip]], number: int) -> Alarm | None:
-    """Look at a touch that is not taken in, by what is known; None where it agrees."""
+    """Alarm about a touch that is not part of the belief; None where it agrees."""
     if touch.kept or chance_of(known, [touch]) >= NEW:
         return None
     rows, belief = LinearRows.of(known, [touch]), ShiftedBelief.by(known.belief)
@@ -188,7 +188,7 @@ class SessionSetting(Value):
     def of(
         problem: Problem, plan: Samples | None, cell: Disturbances | None, clearance: Clearance | None
     ) -> SessionSetting:
-        """Of a plan's rows, or of none."""
+        """Setting with the planned rows whose faces they place, if any."""
         if plan is None or not (rows := telling(problem, plan, {})):  # faces that are planned too seldom have no place
             return SessionSetting(problem, None, {}, cell, clearance)
         placed = plan.take(rows)
@@ -201,14 +201,14 @@ class SessionSetting(Value):
         return pool_of(self.problem, self.cell, POOL, 7, self.clearance)
 
     def known_by(self, touches: Sequence[Touch], before: Known | None) -> Known | None:
-        """Fit of those touches that tell where something stands; `before`: the fit a touch ago, None where none do."""
+        """Belief from the usable touches, None without any; `before`: the belief a touch ago."""
         used = [touches[k] for k in self.usable(touches)]
         if before is not None and len(used) == len(before.touches) and all(map(is_, used, before.touches)):
             return before
         return known_from(self.problem, used, self.places, self.planned, before) if used else None
 
     def usable(self, touches: Sequence[Touch]) -> list[int]:
-        """Which touches tell something: those of faces that are planned or were touched often enough."""
+        """Indices of usable touches: those on faces that are planned or were touched often enough."""
         return telling(self.problem, rows_of(touches), self.places) if touches else []
 
     def state(
@@ -270,7 +270,7 @@ class Known(Value):
 
     @property
     def covariance(self) -> Array:
-        """Of the belief (n, n), in its units."""
+        """Covariance (n, n) of the belief, in its units."""
         return np.asarray(self.belief.root @ self.belief.root.T)
 
     def knows(self, touch: Touch) -> bool:
@@ -284,7 +284,7 @@ def proposed_places(slots: Sequence[Slot]) -> dict[str, Array]:
 
 
 def telling(problem: Problem, samples: Samples, places: Places) -> list[int]:
-    """Which rows tell something: those of faces that are planned or were touched often enough."""
+    """Indices of usable rows: those on faces that are planned or were touched often enough."""
     usable = np.ones(len(samples), dtype=bool)
     for name, rows, enough in _proposing(problem, samples):
         if name in places:
@@ -388,12 +388,12 @@ def _with_starts(bound: BoundProblem) -> BoundProblem:
 
 
 def counts(problem: Problem, samples: Samples) -> dict[str, bool]:
-    """Whether rows are enough to say where each thing stands that was declared without a nominal value, by name."""
+    """Whether rows are enough to place each unknown that was declared without a nominal value, by name."""
     return {name: enough for name, _, enough in _proposing(problem, samples)}
 
 
 def _proposing(problem: Problem, samples: Samples) -> Iterator[tuple[str, NDArray[np.intp], bool]]:
-    """Each such thing by name, its rows, and whether they are enough."""
+    """Each unknown without a nominal value: its name, its rows, and whether they are enough."""
     for key, unknown in problem.instrument.unknowns.items():
         if unknown.nominal is None:
             flat = int((~np.isfinite(unknown.prior_stds)).sum())
@@ -413,7 +413,7 @@ def covered(bound: BoundProblem, samples: Samples) -> NDArray[np.bool_]:
 
 SURE = 0.95  # part of all arms whose error stays below what is promised
 POOL = 600  # touches among which the next one is looked for
-MOST = 200  # more touches than nobody makes
+MOST = 200  # more touches than anybody makes
 
 
 @dataclass(frozen=True, eq=False)
@@ -430,7 +430,7 @@ class ShiftedBelief:
         return ShiftedBelief(np.zeros(belief.mean.size), np.asarray(belief.root @ belief.root.T))
 
     def of(self, residual: Array, slope: Array) -> tuple[Array, Array]:
-        """By how much a touch is off, residual (m,) and slope (m, n), whitened: value (m,) and covariance (m, m)."""
+        """Predicted residual (m,) of a touch and its covariance (m, m), from residual and slope (m, n), whitened."""
         return residual + slope @ self.shift, np.eye(len(residual)) + slope @ self.covariance @ slope.T
 
 
@@ -444,13 +444,13 @@ class LinearRows:
 
     @staticmethod
     def of(known: Known, touches: Sequence[Touch] | Samples) -> LinearRows:
-        """Of touches, about what is known."""
+        """Linearise touches about the mean of a belief."""
         samples = touches if isinstance(touches, Samples) else rows_of(touches)
         bound, x = known.bound.on(samples), known.x
         return LinearRows(bound.residual(x).reshape(len(samples), -1), row_slopes(bound, x), bound.block.noise)
 
     def without(self, k: int) -> LinearRows:
-        """All but one."""
+        """All rows but one."""
         return LinearRows(*(np.delete(part, k, axis=0) for part in (self.residual, self.slope, self.noise)))
 
     def posterior(self, mean: Array) -> ShiftedBelief:
@@ -463,7 +463,7 @@ class LinearRows:
         return ShiftedBelief(shift, covariance, -float(chi_square + np.linalg.slogdet(information)[1]) / 2)
 
     def off(self, belief: ShiftedBelief, k: int) -> tuple[Array, Array]:
-        """By how much a touch is off, and the standard deviation of that (m,), mm."""
+        """Predicted residual of touch k and its standard deviation (m,), mm."""
         value, spread = belief.of(self.residual[k], self.slope[k])
         return value * self.noise[k], np.sqrt(np.diagonal(spread)) * self.noise[k]
 
@@ -476,7 +476,7 @@ def innovations_at(known: Known, touches: Sequence[Touch]) -> tuple[Array, Array
 
 
 def chance_of(known: Known, touches: Sequence[Touch]) -> float:
-    """Chance that touches are together so far off where all is as is known: chi-square, what they share counted."""
+    """Chance of so large a joint residual of some touches: chi-square of their predicted covariance."""
     rows, belief = LinearRows.of(known, touches), ShiftedBelief.by(known.belief)
     value, spread = belief.of(rows.residual.ravel(), rows.slope.reshape(-1, belief.shift.size))
     return chance(square(value, spread), len(value))
@@ -512,7 +512,7 @@ class Pool(Value):
 
     @staticmethod
     def of(known: Known, samples: Samples) -> Pool:
-        """Those of faces that the belief knows."""
+        """Pool of the samples on faces that the belief knows."""
         rows = samples.take(np.flatnonzero(covered(known.bound, samples)))
         return Pool(rows, LinearRows.of(known, rows).slope)
 

@@ -130,7 +130,7 @@ SHOWN = 3  # decimals of a reading in mm as people type it, and of a joint value
 
 @dataclass(frozen=True, eq=False)
 class Slip(Value):
-    """A mistake: its kind, words, what the touch was without it, and how likely it is beside others (a logarithm)."""
+    """A typing mistake: its kind, words, the touch without it, and the logarithm of its prior weight."""
 
     kind: str
     words: str
@@ -213,14 +213,14 @@ def _mistyped(value: float) -> list[tuple[float, float]]:
 
 
 SESSION_COLUMNS = ("order", "touch", "purpose", "kept")
-"""Columns beside those of samples: place in the session, number in the plan, purpose, whether it was kept."""
+"""Columns that a session adds to those of samples: order, number in the plan, purpose, whether it was kept."""
 
 KEPT, NONE = "yes", "-"
 
 
 @dataclass(frozen=True)
 class TouchFile(Value):
-    """A file of touches to fit, and one of touches to check with beside it; `mark`, the first line: of the session."""
+    """A file of touches to fit and, next to it, one to verify with; `mark`: the first line, which names the session."""
 
     path: Path
     layout: Layout
