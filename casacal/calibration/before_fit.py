@@ -242,9 +242,9 @@ def _rare(problem: Problem, name: str, counts: dict[str, int], column: str, tota
         return None
     others = [repr(other) for other in counts if other != name]
     slip = f"Correct it if you mean {' or '.join(others[:FEW])}, or take" if others else "Take"
-    beside = f"; each {group} has {counted(own, 'unknown')} of its own" if own else ""
+    extra = f"; each {group} has {counted(own, 'unknown')} of its own" if own else ""
     least = -(-(own + MARGIN) // components)
-    return f"'{name}' occurs in {counted(counts[name])}{beside}", f"{slip} {least} rows or more there"
+    return f"'{name}' occurs in {counted(counts[name])}{extra}", f"{slip} {least} rows or more there"
 
 
 def _alike(counts: dict[str, int]) -> dict[str, str]:

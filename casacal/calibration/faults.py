@@ -422,7 +422,7 @@ class _Attempt:
 
 
 def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = True) -> MisfitCause | None:
-    """The simplest that makes a misfit vanish: one suspected fault, else two together; None where none does.
+    """The simplest cause of a misfit: one suspected fault, else two together; None where none explains it.
 
     problem: with one instrument. samples: its rows, some hundred. base: their misfit as they are. gross: whether it is
     so large that two mistakes at once are looked for.
@@ -436,12 +436,12 @@ def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = 
         pairs = _pairs(tried, problem)
         both = _simplest(pairs)
         if both is not None and both.size < min(BETTER * min(best.size, base), EXPLAINED):
-            return _told(both, base, pairs, [])
+            return _misfit_cause(both, base, pairs, [])
     if best.size > max(min(BETTER * base, EXPLAINED), CHANCE):
         return None
     tool = [fault.about for fault in best.faults] == [TOOL]
     alike = alike_numbers(bind(problem, samples), tool_keys(problem)) if tool else ()
-    return _told(best, base, tried, [f"{name} elsewhere" for name in alike])
+    return _misfit_cause(best, base, tried, [f"{name} elsewhere" for name in alike])
 
 
 def _one(fault: Fault, before: _Attempt) -> Iterator[_Attempt]:
@@ -477,7 +477,7 @@ def _left(undone: Undone, steps: int) -> float:
 
 
 def _pairs(tried: list[_Attempt], problem: Problem) -> list[_Attempt]:
-    """Wrong units and signs of the dial, and what promises most, each with what is commonly done wrong beside it."""
+    """Pairs of faults: wrong units and signs, and the most promising ones, each with every common fault."""
     usual = {"unit of the joints", *(suspect.about for suspect in problem.instrument.suspects)}
     best = sorted(tried, key=lambda trial: trial.size)
     first = [trial for k, trial in enumerate(best) if k < PAIRED or trial.faults[0].about in usual]
@@ -497,8 +497,8 @@ def _simplest(tried: list[_Attempt]) -> _Attempt | None:
     return min((trial for trial in tried if trial.size <= ALIKE * least), key=lambda trial: trial.freedom)
 
 
-def _told(best: _Attempt, base: float, tried: list[_Attempt], alike: list[str]) -> MisfitCause:
-    """The cause in words; `alike`: what rows cannot tell from it, beside what was tried."""
+def _misfit_cause(best: _Attempt, base: float, tried: list[_Attempt], alike: list[str]) -> MisfitCause:
+    """The best attempt as a cause; `alike`: further causes that the rows cannot tell from it."""
     names = " and ".join(fault.about for fault in best.faults)
     others = [" and ".join(fault.about for fault in trial.faults) for trial in tried if trial.size <= ALIKE * best.size]
     rivals = [name for name in dict.fromkeys(others) if set(name.split(" and ")) != set(names.split(" and "))][:RIVALS]

@@ -340,8 +340,8 @@ class Touches:
     def places(self, label: str, most: int = LOOKED_AT) -> Places | None:
         """Where a face was touched; None where its touches lie on a line, so that they have no u and v."""
         chosen = [thinned(part.rows_of(label), most) for part in self.parts]
-        seen = [_seen(part, rows) for part, rows in zip(self.parts, chosen, strict=True)]
-        tips, plungers = (np.vstack(each) for each in zip(*seen, strict=True))
+        touched = [_tips_and_plungers(part, rows) for part, rows in zip(self.parts, chosen, strict=True)]
+        tips, plungers = (np.vstack(each) for each in zip(*touched, strict=True))
         plane = fitted_plane(tips)
         if not plane.flat:
             return None
@@ -379,7 +379,7 @@ def _part(calibration: Calibration, bound: BoundProblem, number: int, *, held: b
     return Part(bound, number, held, pair[1], before, after, bound.blocks[number].noise[:, drawn], weight)
 
 
-def _seen(part: Part, rows: Rows) -> tuple[Array, Array]:
+def _tips_and_plungers(part: Part, rows: Rows) -> tuple[Array, Array]:
     """Tips (k, 3; mm) of some rows, and directions of the plunger (k, 3), zero where there is none."""
     block = part.bound.blocks[part.instrument]
     pattern = block.pattern[rows]

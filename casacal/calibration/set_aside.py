@@ -288,12 +288,12 @@ def _taken_back(bound: BoundProblem, bad: Rows, stray: Rows) -> Rows:
 
 
 def _sizes(judged: BoundProblem, result: Result) -> Array:
-    """How far rows (N,) are off, in standard deviations of their noise."""
+    """Largest standardised residual (N,) of each row."""
     return judged.largest(np.abs(judged.residual(result.x)))
 
 
 def _most(judged: BoundProblem) -> float:
-    """How far chance may put the farthest of them."""
+    """Largest standardised residual that chance explains."""
     return most_by_chance(judged.rows, judged.rows - judged.beside.count(""))
 
 
@@ -314,9 +314,9 @@ def off_their_face(bound: BoundProblem, scatter: float) -> tuple[Rows, list[Find
         return np.zeros(len(bound.measured), dtype=bool), []
     bad, findings = [], []
     for alone in each_alone(bound.problem, bound.samples):
-        mine, told = strays(alone.problem, alone.samples, scatter)
+        mine, found = strays(alone.problem, alone.samples, scatter)
         bad.append(mine)
-        findings += [replace(each, instrument=alone.name) for each in told]
+        findings += [replace(each, instrument=alone.name) for each in found]
     return np.concatenate(bad), findings
 
 

@@ -382,8 +382,8 @@ def wrong_with_samples(calibration: Calibration) -> tuple[Finding, ...]:
     """Errors in the rows that were fitted, each known by name; the whole check is asked where there is cause."""
     found = calibration.data_errors if calibration.suspicious else calibration.plain_errors
     own = [each for each in calibration.instrument_findings if each.severity == "error"]
-    told = {"misfit", SCALE, *(error.about for error in own)}
-    return tuple(without_its_likes([*(error for error in found if error.about not in told), *own]))
+    reported = {"misfit", SCALE, *(error.about for error in own)}
+    return tuple(without_its_likes([*(error for error in found if error.about not in reported), *own]))
 
 
 def _unfinished(calibration: Calibration) -> tuple[str, str]:
