@@ -195,7 +195,7 @@ class Calibration(Value):
 
     @cached_property
     def weighed(self) -> BoundProblem:
-        """`bare` with the noise found beside effects: the information of single touches about the geometry."""
+        """`bare` with the noise of the fit with effects: the information of single touches about the geometry."""
         return self.bare if self.bare is self.fit else self.bare.with_noise(self.fit.scale)
 
     @property
@@ -341,7 +341,7 @@ class Calibration(Value):
 
     @property
     def unjudged(self) -> Calibration:
-        """The calibration whose figures are all there, whatever the verdict says of them."""
+        """The calibration with every figure, whatever the verdict."""
         return self
 
     @cached_property
@@ -421,7 +421,7 @@ class Calibration(Value):
 
     @cached_property
     def tip_from_minimum(self) -> float:
-        """How far the tip stands from where the minimum puts it, mm RMS over the workspace, apart from the base."""
+        """Distance of the tip from its place at the minimum, mm RMS over the workspace, apart from the base."""
         if minimises(self.method):
             return 0.0
         joints, tips, _ = self.workspace
@@ -522,7 +522,7 @@ class Calibration(Value):
 
     @property
     def suspicious(self) -> bool:
-        """Whether something about the fit calls for a look at the samples themselves: then the data check is asked."""
+        """Whether the fit calls for the data check: parameters far off, lack of fit, or no confirmed minimum."""
         # a robust fit has already set aside the rows that pull parameters far
         far = self.result.loss is None and bool((_moves(self.plain) > FAR).any())
         low = max(self.noise.low, noise_over_stated(self.plain).low)

@@ -187,7 +187,7 @@ def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, .
 
 
 def _with_cause(findings: list[Finding], cause: MisfitCause, bound: BoundProblem, few: Samples) -> list[Finding]:
-    """A cause, with what readings say of the sign before any fit, and what is wrong with the rows apart from it."""
+    """The cause, then the findings that it does not explain, and weaknesses of the set-up with it undone."""
     undone = cause.undone
     remaining = {finding.about for finding in outside(undone.problem, undone.samples)}
     explained_too = {finding.about for finding in outside(bound.problem, few)} - remaining
@@ -219,7 +219,7 @@ def _few_of_each_face(problem: Problem, samples: Samples) -> Samples:
 
 
 def _evenly(count: int, most: int) -> Index:
-    """Places of so many of `count` things, evenly over all; all where there are fewer."""
+    """Indices of at most `most` of `count` items, evenly spread."""
     return np.unique(np.linspace(0, count - 1, most).astype(np.intp))
 
 

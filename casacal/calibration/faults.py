@@ -48,7 +48,7 @@ FEWEST = 5  # rows that a face needs on either side of such a place to have a pl
 
 
 def tool_elsewhere(problem: Problem, samples: Samples) -> Undone:
-    """The tool point free of its prior, and where it then stands."""
+    """Free the tool point of its prior, and report where the samples put it."""
     keys = tool_keys(problem)
     freed = problem.free(*(key for key in keys if not problem.instrument.unknowns[key].size))
     freed = freed.with_prior(dict.fromkeys(keys, math.inf))
@@ -148,7 +148,7 @@ def _less_shifts(samples: Samples, *sizes: float, column: str, places: Sequence[
 
 
 def _where_shifted(problem: Problem, rows: Samples, column: str) -> int | None:
-    """The row from which a shift of the readings gains most; None where none can be told."""
+    """The row from which a shift of the readings lowers chi-square most; None where there is no fit to judge by."""
     fitted, count = quick_fit(problem, rows), len(rows)
     if fitted is None or not 2 * FEWEST < count <= ENOUGH:
         return None
@@ -343,7 +343,7 @@ def _instead(problem: Problem, samples: Samples, *, columns: dict[str, Array]) -
 
 
 def _exchanged(problem: Problem, samples: Samples) -> Iterator[Fault]:
-    """Labels of two faces in each other's place, where one stands on another or on it; else a name says nothing."""
+    """Labels of two faces exchanged, where one is a step or carries one; other names carry no geometry."""
     column, probe = problem.instrument.groups, problem.instrument.probe
     if column is None or probe is None or not probe.steps:
         return

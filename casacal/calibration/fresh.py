@@ -51,7 +51,7 @@ WIDE = 10.0  # standard deviation that stands for nothing known; these unknowns 
 
 @dataclass(frozen=True)
 class Shifts(Term):
-    """Joints, tool and base that stand elsewhere than where they were calibrated."""
+    """Shifts of encoder zeros, tool and base since the calibration."""
 
     size: float = WIDE
 
@@ -331,7 +331,7 @@ def fresh_rows(
 def _bound(
     result: CalibratedArm, problem: Problem, samples: Samples, kept: Mapping[str, Array], *, other: bool
 ) -> BoundProblem:
-    """Rows with what errs beside the geometry, and with noise as the calibration used it."""
+    """Bind rows with the calibration's non-geometric effects and with noise as it used it."""
     _check_columns(problem, samples)
     slots = make_slots(problem, [samples], kept)
     for slot in slots:  # what the drawn arm proposes from fresh rows is neither known nor estimated
@@ -365,7 +365,7 @@ def _check_columns(problem: Problem, samples: Samples) -> None:
 
 
 def _kept(result: CalibratedArm, problem: Problem, samples: Samples, standing: Collection[str]) -> dict[str, Array]:
-    """Nominal values of what stands where it was calibrated, by name of its slot."""
+    """Nominal values, by slot name, of the unknowns that have not moved since the calibration."""
     instrument, proposed, kept = problem.instrument, result.found.proposed, {}
     there: dict[str, list[str]] = {}
     unknowns: dict[str, Unknown] = {}
@@ -507,7 +507,7 @@ class Opened:
         return 0.5 / (math.log(noise.high / noise.low) / (2 * 1.96)) ** 2
 
     def judged(self, fresh: Fresh, standing: tuple[str, ...]) -> Judged:
-        """These rows, bound to the arm, with what was said to stand."""
+        """Record of these rows and of the calibration that they judge; `standing`: what has not moved."""
         verdict = self.arm.found.verdict
         return Judged(
             self.source.problem.robot.name,

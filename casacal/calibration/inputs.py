@@ -118,7 +118,7 @@ def estimate(
 
 
 def _judged(found: Result) -> Result:
-    """A result with a status that fails where it is no estimate, which many methods cannot tell by themselves."""
+    """Fail a result whose cost is not finite or worse than the drawing's, or that is no minimum."""
     if not found.converged:
         return found
     if not math.isfinite(found.cost):

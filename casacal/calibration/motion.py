@@ -70,7 +70,7 @@ def used_arm(fit: BoundProblem, result: Result, corrected: Collection[str]) -> A
 
 
 def doubtful(fit: BoundProblem, corrected: Collection[str]) -> set[str]:
-    """Corrected effects of the largest size that is believed: something else may stand behind them.
+    """Corrected effects at the largest accepted size: something else may be their cause.
 
     None where rows see the tip itself, which such a correction brings nearer whatever it is.
     """
@@ -78,7 +78,7 @@ def doubtful(fit: BoundProblem, corrected: Collection[str]) -> set[str]:
 
 
 def sees_the_tip(fit: BoundProblem) -> bool:
-    """Whether every row says where the tip itself is, all three axes."""
+    """Whether every row measures the tip itself, all three axes."""
     return all(instrument.words.accuracy for instrument in fit.problem.instruments)
 
 

@@ -29,7 +29,7 @@ from casacal.wording import listed, mm, sized
 
 
 def tool_keys(problem: Problem) -> list[str]:
-    """Lengths of the instrument that say where its tip is; none for an instrument without one."""
+    """Keys of the instrument's unknown lengths that place its tip; empty for an instrument without one."""
     probe, unknowns = problem.instrument.probe, problem.instrument.unknowns
     moves = () if probe is None else probe.moves
     return [key for key in moves if isinstance(found := unknowns.get(key), Parameter) and found.unit == "mm"]
@@ -283,7 +283,7 @@ def without_its_likes(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def _likelihood(bound: BoundProblem) -> float:
-    """Logarithm of the marginal likelihood of rows where effects beside the geometry are as large as they show."""
+    """Log marginal likelihood of the rows, with sizes of non-geometric effects and noise as found."""
     fit = with_effects(bound.with_noise(found_noise(bound).scale), bound.problem)
     found = lm(fit)
     fit = fit.with_noise(times(fit.scale, noise_interval(found)[0]))

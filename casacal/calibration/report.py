@@ -239,7 +239,7 @@ class Workspace:
 
     @staticmethod
     def of(calibration: Calibration) -> Workspace:
-        """Over postures of its own; the base frame is that of the postures that the summary's figure is of."""
+        """Sample random postures; the base is aligned over the postures of the summary's figure."""
         motion = calibration.motion
         arm, x = motion.arm, motion.x
         frame_joints, frame_tips, frame_slopes = calibration.workspace

@@ -51,7 +51,7 @@ MOST_MAPS = 12
 
 
 def histograms(touches: Touches) -> Markup:
-    """Before and after, each on a scale of its own."""
+    """Histograms of the residuals before and after, each on its own scale."""
     held = (
         " The orange outline is held-out rows, which the fit did not see; it should look like the bars."
         if len(touches.parts) > 1
@@ -96,7 +96,7 @@ def _histogram(touches: Touches, when: When) -> Markup:
 
 
 def row_plots(touches: Touches) -> Markup:
-    """Before and after, each on a scale of its own."""
+    """Residuals by row before and after, each on its own scale."""
     total = sum(part.after.size for part in touches.parts)
     some = f" Some of {total:,} points are drawn: evenly spread ones and the largest." if total > DRAWN else ""
     if len(touches.series) > MOST_SERIES:
@@ -364,7 +364,7 @@ def spread(values: Array) -> float:
 
 
 def thinned(rows: Rows, most: int) -> Rows:
-    """At most so many of the rows, evenly spread, the first and the last among them."""
+    """At most `most` of the rows, evenly spread, with the first and the last."""
     if len(rows) <= most:
         return rows
     return rows[np.unique(np.linspace(0, len(rows) - 1, most).astype(np.intp))]

@@ -379,7 +379,7 @@ def _against(calibration: Calibration) -> list[tuple[str, str]]:
 
 
 def wrong_with_samples(calibration: Calibration) -> tuple[Finding, ...]:
-    """Errors in the rows that were fitted, each known by name; the whole check is asked where there is cause."""
+    """Errors in the fitted rows, by the whole data check where the fit is suspicious, else by the quick checks."""
     found = calibration.data_errors if calibration.suspicious else calibration.plain_errors
     own = [each for each in calibration.instrument_findings if each.severity == "error"]
     reported = {"misfit", SCALE, *(error.about for error in own)}

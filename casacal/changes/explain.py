@@ -59,7 +59,7 @@ class Cause:
 
 
 def causes_of(fresh: Fresh, shifted: BoundProblem) -> tuple[Cause, ...]:
-    """Every joint, the tool, the base, and each thing that was said to stand where it was calibrated."""
+    """Every joint, the tool, the base, and each unknown that was declared as standing."""
     found = []
     joints = shift_columns(shifted, JOINTS)
     for i, (axis, column) in enumerate(zip(shifted.problem.robot.axes, joints, strict=True)):

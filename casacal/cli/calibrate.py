@@ -136,7 +136,7 @@ def _since(options: argparse.Namespace) -> tuple[dict[str, float | None], list[s
 
 
 def _report(calibration: Calibration, source: ProblemFile, box: Box | None, options: argparse.Namespace) -> int:
-    """Say what was found, in the form that is asked for, and write the files; returns 0 or 1."""
+    """Print the answer in the requested form and write the files; returns 0 or 1."""
     from casacal.calibration.result_json import calibration_document, write_calibration
     from casacal.calibration.summary import MOST_LINES, brief, summary
     from casacal.calibration.tables import corrected_words

@@ -177,7 +177,7 @@ def add_samples(parser: argparse.ArgumentParser) -> None:
 
 
 def sample_files(source: ProblemFile, options: argparse.Namespace) -> dict[str, str]:
-    """The samples file of each instrument, by its name: as named, or beside the problem; CasacalError where none is."""
+    """The samples file of each instrument by name, as named, else next to the problem; CasacalError without one."""
     names = source.problem.names
     if len(names) == 1:
         if options.sets:
@@ -256,7 +256,7 @@ def adjusted(problem: Problem, options: argparse.Namespace) -> Problem:
 
 
 def names_of(option: str, groups: Sequence[str]) -> list[str]:
-    """Names that stand after an option, which may come several times; raises CasacalError where one names nothing."""
+    """Comma-separated names of an option that may be repeated; raises CasacalError where one is empty."""
     found = []
     for group in groups:
         names = [name.strip() for name in group.split(",") if name.strip()]
@@ -267,7 +267,7 @@ def names_of(option: str, groups: Sequence[str]) -> list[str]:
 
 
 def stds_of(option: str, settings: Sequence[str], example: str) -> dict[str, float]:
-    """Numbers (mm, rad; of any sign) by name, as they stand after an option; raises CasacalError with the example."""
+    """Numbers (mm, rad; of any sign) by name from NAME=STD settings; raises CasacalError with the example."""
     return _read(option, settings, "NAME=STD", f"mm or rad, such as {example}", _number)
 
 

@@ -60,7 +60,7 @@ def distinct(axes: Axes, options: Integers) -> list[Index]:
 
 
 def conventions_of(reading: Integers, mixing: Array) -> Conventions | None:
-    """A reading (n, 4) as `Conventions` of the robot's own joint values; None when they cannot say it.
+    """A reading (n, 4) as `Conventions` of the robot's own joint values; None where it has no such form.
 
     mixing: what the robot's pose does to its joint values (n, n), the identity but for a pose that couples joints.
     """

@@ -279,7 +279,7 @@ class Known(Value):
 
 
 def proposed_places(slots: Sequence[Slot]) -> dict[str, Array]:
-    """Where faces and the like stand that were declared without a nominal value, as the rows propose them."""
+    """Nominal values that the rows propose for unknowns declared without one, by name."""
     return {slot.name: slot.nominal for slot in slots if slot.unknown.nominal is None}
 
 

@@ -209,7 +209,7 @@ class Session(Value):
 
     @property
     def too_few(self) -> tuple[str, ...]:
-        """Faces and the like that were touched, but too seldom to say where they stand, by name."""
+        """Names of the unknowns, such as faces, with too few touches to place them."""
         fit = [touch for touch in self.touches if touch.purpose != CHECK]
         return tuple(name for name, enough in counts(self.problem, rows_of(fit)).items() if not enough) if fit else ()
 

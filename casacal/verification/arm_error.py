@@ -144,7 +144,7 @@ def _further(scatter: Scatter, effective_rows: float, tolerance: float, risk: fl
 
 
 def _settles(scatter: Scatter, times: float, tolerance: float, risk: float) -> bool:
-    """Whether so many times the rows settle it, if the error is as measured."""
+    """Whether `times` the rows would settle it, if the error is as measured."""
     measured = scatter.measured_mm
     more = replace(scatter, freedom=scatter.freedom * times)
     within = measured < tolerance
