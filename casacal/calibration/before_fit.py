@@ -69,7 +69,7 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
 
 
 def _beyond_limits(samples: Samples, name: str, kind: Dimension, ends: tuple[float, float]) -> Iterator[Finding]:
-    """An error on readings outside what an instrument of one's own says that it can show."""
+    """An error on readings outside the `reading_limits` of a user-defined instrument."""
     _, factor, _ = WRITTEN[kind]
     reading, (low, high) = samples.columns[name] * factor, (end * factor for end in ends)
     bad = (reading < low) | (reading > high)
@@ -138,7 +138,7 @@ def _blur(bound: BoundProblem, steps: dict[int, float]) -> float:
 
 
 def _grid(values: Array, grids: Array) -> float:
-    """The coarsest grid that holds all values, or zero; the finest of the list tells nothing."""
+    """The coarsest grid that holds all values; zero where none does."""
     if len(values) < ENOUGH_ROWS or np.ptp(values) == 0:
         return 0.0
     for step in grids:
@@ -242,9 +242,9 @@ def _rare(problem: Problem, name: str, counts: dict[str, int], column: str, tota
         return None
     others = [repr(other) for other in counts if other != name]
     slip = f"Correct it if you mean {' or '.join(others[:FEW])}, or take" if others else "Take"
-    beside = f"; each {group} has {counted(own, 'unknown')} of its own" if own else ""
+    extra = f"; each {group} has {counted(own, 'unknown')} of its own" if own else ""
     least = -(-(own + MARGIN) // components)
-    return f"'{name}' occurs in {counted(counts[name])}{beside}", f"{slip} {least} rows or more there"
+    return f"'{name}' occurs in {counted(counts[name])}{extra}", f"{slip} {least} rows or more there"
 
 
 def _alike(counts: dict[str, int]) -> dict[str, str]:
@@ -275,7 +275,7 @@ def _slip(one: str, two: str, *, both_common: bool) -> bool:
 
 
 def _rows_of_unknowns(problem: Problem, counts: dict[str, int], column: str) -> dict[str, int]:
-    """Rows that tell of each label's unknowns: its own, and those of labels that share them, such as a step's."""
+    """Number of rows that determine each label's unknowns, with those of labels that share them, such as a step's."""
     instrument, fewest = problem.instrument, dict[str, int]()
     for key in (key for key, unknown in instrument.unknowns.items() if unknown.per == column):
         totals = Counter[str]()
@@ -392,7 +392,7 @@ WRONG_SIGN = "wrong dial sign"
 
 
 def sign_before_fit(bound: BoundProblem) -> list[Finding]:
-    """Regression of the nominal residuals on the reading: a slope of 2 means a wrong sign, no spread tells nothing."""
+    """Regress the nominal residuals on the reading: slope 2 means a wrong sign; a constant reading tests nothing."""
     probe, samples = bound.problem.instrument.probe, bound.block.samples
     if probe is None or probe.column is None:
         return []

@@ -119,8 +119,8 @@ def calibrate(
             fit, bare, aside = since.bound(chosen_rows.sets[0], set_aside=set_aside, noise=find_noise, kit=kit)
         else:
             kit = kit and loss is None and not (name in METHODS and METHODS[name].parameters_only)
-            asked = (set_aside, find_noise, kit, loss, backend, threads)
-            fit, bare, aside = _from_drawing(source.problem, chosen_rows, *asked)
+            settings = (set_aside, find_noise, kit, loss, backend, threads)
+            fit, bare, aside = _from_drawing(source.problem, chosen_rows, *settings)
         if not source.problem.terms and fit.problem.terms == BY_LINKS:
             source = replace(source, problem=with_link_kit(source.problem))  # a result names effects that are not usual
         heldout = bind_further(fit, *single.take(held).sets) if held.size else None
@@ -182,13 +182,13 @@ def _opened(
 
 def _check_words(noise: str, outliers: str, discrepancy: str) -> None:
     """Raise CasacalError for a word that is none of those that there are."""
-    for given, what, one, other in (
+    for word, what, one, other in (
         (noise, "as the noise", "found", "stated"),
         (outliers, "for the outliers", "set aside", "keep"),
         (discrepancy, "for the discrepancy", "kit", "none"),
     ):
-        if given not in (one, other):
-            raise CasacalError(f"Got {came(given)} {what}", f"Give '{one}' or '{other}'")
+        if word not in (one, other):
+            raise CasacalError(f"Got {came(word)} {what}", f"Give '{one}' or '{other}'")
 
 
 def _bound(
@@ -247,11 +247,11 @@ def _same(one: Measurements, two: Measurements) -> bool:
     return all(a.lines == b.lines for a, b in zip(one.sets, two.sets, strict=True))
 
 
-def _reference(given: bool | str) -> str:
+def _reference(requested: bool | str) -> str:
     """The plug-in that is to check the minimum; empty where none is."""
-    if given is False:
+    if requested is False:
         return ""
-    solver = "ipopt" if given is True else given
+    solver = "ipopt" if requested is True else requested
     check_solver(solver)
     return solver
 

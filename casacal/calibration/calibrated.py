@@ -82,7 +82,7 @@ class Calibrated(Calibration, AsArm):
 
     @property
     def tip_from_minimum(self) -> float:
-        """How far the tip stands from where the minimum puts it, mm RMS over the workspace."""
+        """Distance of the tip from its place at the minimum, mm RMS over the workspace."""
         return math.nan if self.denied else self.unjudged.tip_from_minimum
 
     @property

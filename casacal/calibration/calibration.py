@@ -1,4 +1,4 @@
-"""A calibration as a value: the fit, what its rows say of themselves, and every figure that follows from it."""
+"""A calibration as a value: the fit, figures and findings on its rows, and every figure that follows from it."""
 
 from __future__ import annotations
 
@@ -178,7 +178,7 @@ class Calibration(Value):
 
     @property
     def told(self) -> tuple[str, ...]:
-        """Keys of those among them that columns of the rows tell."""
+        """Keys of the corrected effects that columns of the rows drive."""
         return tuple(each.key for each in self.tried if each.told)
 
     @property
@@ -195,12 +195,12 @@ class Calibration(Value):
 
     @cached_property
     def weighed(self) -> BoundProblem:
-        """`bare` with the noise found beside effects: the information of single touches about the geometry."""
+        """`bare` with the noise of the fit with effects: the information of single touches about the geometry."""
         return self.bare if self.bare is self.fit else self.bare.with_noise(self.fit.scale)
 
     @property
     def bare_x(self) -> Array:
-        """The estimate of its unknowns."""
+        """Estimate of the unknowns of `bare`."""
         return np.asarray(self.result.x[~np.array(self.fit.beside, dtype=bool)])
 
     @cached_property
@@ -226,9 +226,9 @@ class Calibration(Value):
 
     @cached_property
     def repeated(self) -> tuple[Finding, ...]:
-        """Warnings of such rows, with the instrument's name where there are several."""
-        given = Measurements.of(self.samples)
-        pairs = zip(given.names, given.sets, strict=True)
+        """Warnings of copied rows, with the instrument's name where there are several."""
+        measured = Measurements.of(self.samples)
+        pairs = zip(measured.names, measured.sets, strict=True)
         return tuple(replace(finding, instrument=name) for name, some in pairs for finding in repeated(some))
 
     @cached_property
@@ -323,9 +323,9 @@ class Calibration(Value):
         """Errors that need few fits or none: travel, limits, rounding, the dial's sign, a number of the arm."""
         found = list[Finding]()
         for alone in self._each_bare():
-            told = [*outside(alone.problem, alone.samples[0]), *rounded(alone), *sign_before_fit(alone)]
+            findings = [*outside(alone.problem, alone.samples[0]), *rounded(alone), *sign_before_fit(alone)]
             name = alone.problem.names[0] if len(self.fit.samples) > 1 else ""
-            found += [replace(each, instrument=name) for each in told]
+            found += [replace(each, instrument=name) for each in findings]
         if self.result.loss is None and self.earlier is None:
             found += wrong_number(self.bare, alone=self.fit is self.bare)
         return tuple(each for each in found if each.severity == "error")
@@ -341,7 +341,7 @@ class Calibration(Value):
 
     @property
     def unjudged(self) -> Calibration:
-        """The calibration whose figures are all there, whatever the verdict says of them."""
+        """The calibration with every figure, whatever the verdict."""
         return self
 
     @cached_property
@@ -351,7 +351,7 @@ class Calibration(Value):
 
     @cached_property
     def seen_x(self) -> Array:
-        """The estimate of its unknowns (s,)."""
+        """Estimate of the unknowns of `seen` (s,)."""
         return seen(self.fit, self.result.x)[1]
 
     @property
@@ -361,7 +361,7 @@ class Calibration(Value):
 
     @property
     def covariance(self) -> Array:
-        """Covariance of its unknowns (s, s); infinite variances where neither data nor prior hold one."""
+        """Covariance (s, s) of the unknowns of `seen`; infinite variances where neither data nor prior hold one."""
         return among(self.result, self.seen)
 
     @cached_property
@@ -421,7 +421,7 @@ class Calibration(Value):
 
     @cached_property
     def tip_from_minimum(self) -> float:
-        """How far the tip stands from where the minimum puts it, mm RMS over the workspace, apart from the base."""
+        """Distance of the tip from its place at the minimum, mm RMS over the workspace, apart from the base."""
         if minimises(self.method):
             return 0.0
         joints, tips, _ = self.workspace
@@ -522,7 +522,7 @@ class Calibration(Value):
 
     @property
     def suspicious(self) -> bool:
-        """Whether something about the fit calls for a look at the samples themselves: then the data check is asked."""
+        """Whether the fit calls for the data check: parameters far off, lack of fit, or no confirmed minimum."""
         # a robust fit has already set aside the rows that pull parameters far
         far = self.result.loss is None and bool((_moves(self.plain) > FAR).any())
         low = max(self.noise.low, noise_over_stated(self.plain).low)

@@ -65,8 +65,8 @@ FIXES = {
 OTHERWISE = "Look for its cause, or declare it as an effect of the problem"
 
 
-def beside_geometry(problem: Problem, samples: Samples) -> list[Finding]:
-    """Warnings of what the rows show beside the geometry, with noise and sizes as `calibrate` finds them.
+def effect_findings(problem: Problem, samples: Samples) -> list[Finding]:
+    """Warnings of non-geometric effects that the rows show, with noise and sizes as `calibrate` finds them.
 
     In blocks, as nothing is worth compiling for one look.
     """
@@ -180,17 +180,17 @@ def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, .
     if quick is not None:
         fitted = quick[0], quick[1].x, quick[1].covariance
         findings += [*tool_elsewhere_at(*fitted), *wrong_scale(*fitted)]
-    findings += [*_untold(problem, few, base), *_rows(bind(problem, good))]
+    findings += [*_invisible_flips(problem, few, base), *_rows(bind(problem, good))]
     if all(finding.severity != "error" for finding in findings):
-        findings += beside_geometry(problem, few)
+        findings += effect_findings(problem, few)
     return _in_order(findings)
 
 
 def _with_cause(findings: list[Finding], cause: MisfitCause, bound: BoundProblem, few: Samples) -> list[Finding]:
-    """A cause, with what readings say of the sign before any fit, and what is wrong with the rows apart from it."""
+    """The cause, then the findings that it does not explain, and weaknesses of the set-up with it undone."""
     undone = cause.undone
-    told = {finding.about for finding in outside(undone.problem, undone.samples)}
-    explained_too = {finding.about for finding in outside(bound.problem, few)} - told
+    remaining = {finding.about for finding in outside(undone.problem, undone.samples)}
+    explained_too = {finding.about for finding in outside(bound.problem, few)} - remaining
     kept = [finding for finding in findings if finding.about not in explained_too]
     found = cause.finding
     if found.about == WRONG_SIGN and OUTSIDE in explained_too:
@@ -219,7 +219,7 @@ def _few_of_each_face(problem: Problem, samples: Samples) -> Samples:
 
 
 def _evenly(count: int, most: int) -> Index:
-    """Places of so many of `count` things, evenly over all; all where there are fewer."""
+    """Indices of at most `most` of `count` items, evenly spread."""
     return np.unique(np.linspace(0, count - 1, most).astype(np.intp))
 
 
@@ -258,8 +258,8 @@ def _tried(problem: Problem) -> list[str]:
     return [*tried, *(["tool offset"] if tool_keys(problem) else [])]
 
 
-def _untold(problem: Problem, samples: Samples, base: float) -> list[Finding]:
-    """Remarks on flips that these samples would not notice."""
+def _invisible_flips(problem: Problem, samples: Samples, base: float) -> list[Finding]:
+    """Remarks on joint flips that these samples cannot show."""
     undone = {fault.about: fault.undo(problem, samples) for fault in flips(problem)}
     unseen = [about for about, each in undone.items() if misfit(each.problem, each.samples) <= ALIKE * base]
     cause = "these samples would look the same, so they cannot show it"

@@ -30,7 +30,7 @@ from casacal.values import FrozenMapping, Value
 
 @dataclass(frozen=True, eq=False)
 class EarlierResult(Value):
-    """Which result a calibration began from, and how.
+    """The earlier result that is the prior of a calibration.
 
     file, sha256: the result. verdict: its own. expected_mm: the tip error that it expected. noise_freedom: degrees of
     freedom of the noise that it found, infinite where it was stated. standing: what had not moved since. loosened: what
@@ -63,9 +63,9 @@ class EarlierResult(Value):
     def tried(self, fit: BoundProblem, found: Result) -> tuple[Tried, ...]:
         """Effects that were corrected stay so: few new rows could hardly ask again."""
         known = {each.key: each for each in effects_of(fit.problem) if each.key in fit.beside and each.moves}
-        told = in_sample_gains(fit, found.x, known)
+        gains = in_sample_gains(fit, found.x, known)
         return tuple(
-            Tried(key, each.words, told[key], {}, key in self.corrected, each.further) for key, each in known.items()
+            Tried(key, each.words, gains[key], {}, key in self.corrected, each.further) for key, each in known.items()
         )
 
 
@@ -84,13 +84,13 @@ class RowsSince:
         With its effects beside the geometry, of their sizes (`kit`), and with the noise that it found (`noise`). Raises
         CasacalError for what cannot be loosened, or stand; SamplesError for too few rows.
         """
-        given, source = self.opened, self.opened.source.problem
+        case, source = self.opened, self.opened.source.problem
         standing = self.result.standing
-        fresh = fresh_rows(given.arm, source, samples, other=given.other, standing=standing)
-        fresh = with_memory(fresh, given.arm).loosened(self.result.loosened)
+        fresh = fresh_rows(case.arm, source, samples, other=case.other, standing=standing)
+        fresh = with_memory(fresh, case.arm).loosened(self.result.loosened)
         if fresh.lost.any():
             name = fresh.gaussian.names[int(np.flatnonzero(fresh.lost)[0])]
-            what = f"{given.arm.file}: it leaves '{name}' without bound, so it is no prior"
+            what = f"{case.arm.file}: it leaves '{name}' without bound, so it is no prior"
             raise CasacalError(what, "Calibrate again with old and new rows")
         aside: tuple[Finding, ...] = ()
         if set_aside:
@@ -102,7 +102,7 @@ class RowsSince:
 
 
 def _without_gross(fresh: Fresh) -> tuple[Fresh, tuple[Finding, ...]]:
-    """Without rows that neither the earlier result nor the other rows expect, where these are few."""
+    """Set aside rows that neither the earlier result nor the other rows expect, where these are few."""
     bound, per_row = fresh.bound, fresh.bound.rows // len(fresh.bound.block.samples)
     rows = sorted({int(k) // per_row for k in fresh.linear.gross() if k < bound.rows})
     if not rows:
@@ -132,9 +132,9 @@ def earlier(
     Raises CasacalError for a result that is not to be used, that is no calibration, or of another arm; SamplesError
     where the rows are those that it was calibrated from.
     """
-    for what, given in (("to loosen", loosen), ("of what has not moved", standing)):
-        if isinstance(given, str):
-            raise CasacalError(f"Got the text '{given}' as the list {what}", f"Give ('{given}',)")
+    for what, names in (("to loosen", loosen), ("of what has not moved", standing)):
+        if isinstance(names, str):
+            raise CasacalError(f"Got the text '{names}' as the list {what}", f"Give ('{names}',)")
     arm = _arm_of(result)
     robot = source.problem.robot
     if not same_arm(arm.source.problem.robot, robot):
@@ -144,8 +144,8 @@ def earlier(
     _refuse_other_unknowns(arm, source.problem, other=other)
     opened = fresh_among(arm, source, samples, other=other)
     found, said = arm.found, arm.found.verdict
-    given = loosen if isinstance(loosen, Mapping) else dict.fromkeys(loosen)
-    stds = {name.replace("joint ", "joint"): None if std == math.inf else std for name, std in given.items()}
+    requested = loosen if isinstance(loosen, Mapping) else dict.fromkeys(loosen)
+    stds = {name.replace("joint ", "joint"): None if std == math.inf else std for name, std in requested.items()}
     return RowsSince(
         opened,
         EarlierResult(
@@ -163,9 +163,9 @@ def earlier(
     )
 
 
-def _arm_of(given: Any) -> CalibratedArm:
+def _arm_of(source: Any) -> CalibratedArm:
     """A result as an arm that can be a prior; raises CasacalError for one that is none."""
-    result = arm_from(given, "the earlier result")
+    result = arm_from(source, "the earlier result")
     if (words := result.denial) is not None:
         fix = "Mend what the verdict names, and calibrate again"
         raise RefusedResultError(f"{result.file}: {words.removesuffix('.')}, so it is no prior", fix)

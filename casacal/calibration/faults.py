@@ -48,7 +48,7 @@ FEWEST = 5  # rows that a face needs on either side of such a place to have a pl
 
 
 def tool_elsewhere(problem: Problem, samples: Samples) -> Undone:
-    """The tool point free of its prior, and where it then stands."""
+    """Free the tool point of its prior, and report where the samples put it."""
     keys = tool_keys(problem)
     freed = problem.free(*(key for key in keys if not problem.instrument.unknowns[key].size))
     freed = freed.with_prior(dict.fromkeys(keys, math.inf))
@@ -148,7 +148,7 @@ def _less_shifts(samples: Samples, *sizes: float, column: str, places: Sequence[
 
 
 def _where_shifted(problem: Problem, rows: Samples, column: str) -> int | None:
-    """The row from which a shift of the readings gains most; None where none can be told."""
+    """The row from which a shift of the readings lowers chi-square most; None where there is no fit to judge by."""
     fitted, count = quick_fit(problem, rows), len(rows)
     if fitted is None or not 2 * FEWEST < count <= ENOUGH:
         return None
@@ -343,7 +343,7 @@ def _instead(problem: Problem, samples: Samples, *, columns: dict[str, Array]) -
 
 
 def _exchanged(problem: Problem, samples: Samples) -> Iterator[Fault]:
-    """Labels of two faces in each other's place, where one stands on another or on it; else a name says nothing."""
+    """Labels of two faces exchanged, where one is a step or carries one; other names carry no geometry."""
     column, probe = problem.instrument.groups, problem.instrument.probe
     if column is None or probe is None or not probe.steps:
         return
@@ -422,7 +422,7 @@ class _Attempt:
 
 
 def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = True) -> MisfitCause | None:
-    """The simplest that makes a misfit vanish: one suspected fault, else two together; None where none does.
+    """The simplest cause of a misfit: one suspected fault, else two together; None where none explains it.
 
     problem: with one instrument. samples: its rows, some hundred. base: their misfit as they are. gross: whether it is
     so large that two mistakes at once are looked for.
@@ -436,12 +436,12 @@ def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = 
         pairs = _pairs(tried, problem)
         both = _simplest(pairs)
         if both is not None and both.size < min(BETTER * min(best.size, base), EXPLAINED):
-            return _told(both, base, pairs, [])
+            return _misfit_cause(both, base, pairs, [])
     if best.size > max(min(BETTER * base, EXPLAINED), CHANCE):
         return None
     tool = [fault.about for fault in best.faults] == [TOOL]
     alike = alike_numbers(bind(problem, samples), tool_keys(problem)) if tool else ()
-    return _told(best, base, tried, [f"{name} elsewhere" for name in alike])
+    return _misfit_cause(best, base, tried, [f"{name} elsewhere" for name in alike])
 
 
 def _one(fault: Fault, before: _Attempt) -> Iterator[_Attempt]:
@@ -477,7 +477,7 @@ def _left(undone: Undone, steps: int) -> float:
 
 
 def _pairs(tried: list[_Attempt], problem: Problem) -> list[_Attempt]:
-    """Wrong units and signs of the dial, and what promises most, each with what is commonly done wrong beside it."""
+    """Pairs of faults: wrong units and signs, and the most promising ones, each with every common fault."""
     usual = {"unit of the joints", *(suspect.about for suspect in problem.instrument.suspects)}
     best = sorted(tried, key=lambda trial: trial.size)
     first = [trial for k, trial in enumerate(best) if k < PAIRED or trial.faults[0].about in usual]
@@ -497,8 +497,8 @@ def _simplest(tried: list[_Attempt]) -> _Attempt | None:
     return min((trial for trial in tried if trial.size <= ALIKE * least), key=lambda trial: trial.freedom)
 
 
-def _told(best: _Attempt, base: float, tried: list[_Attempt], alike: list[str]) -> MisfitCause:
-    """The cause in words; `alike`: what rows cannot tell from it, beside what was tried."""
+def _misfit_cause(best: _Attempt, base: float, tried: list[_Attempt], alike: list[str]) -> MisfitCause:
+    """The best attempt as a cause; `alike`: further causes that the rows cannot tell from it."""
     names = " and ".join(fault.about for fault in best.faults)
     others = [" and ".join(fault.about for fault in trial.faults) for trial in tried if trial.size <= ALIKE * best.size]
     rivals = [name for name in dict.fromkeys(others) if set(name.split(" and ")) != set(names.split(" and "))][:RIVALS]

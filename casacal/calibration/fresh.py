@@ -51,7 +51,7 @@ WIDE = 10.0  # standard deviation that stands for nothing known; these unknowns 
 
 @dataclass(frozen=True)
 class Shifts(Term):
-    """Joints, tool and base that stand elsewhere than where they were calibrated."""
+    """Shifts of encoder zeros, tool and base since the calibration."""
 
     size: float = WIDE
 
@@ -68,7 +68,7 @@ class Shifts(Term):
         return found
 
     def joints(self, here: Here) -> Expression:
-        """The shifts themselves."""
+        """Shifts of the encoder zeros."""
         return ca.SX(getattr(here.p, JOINTS))
 
     def pose(self, here: Here) -> Expression:
@@ -136,7 +136,7 @@ MOST = 30_000_000  # elements of a Jacobian that is held as a whole
 
 @dataclass(frozen=True, eq=False)
 class Fresh:
-    """Rows of an instrument, and where the result says that everything stands.
+    """Rows of an instrument, bound to the unknowns of a result.
 
     known: which unknowns (n,) the result knows; the others belong to these rows. at: the estimate (n,), zero of those
     that it does not. covariance: of the known ones (k, k). other: whether it is another instrument than that of the
@@ -178,7 +178,7 @@ class Fresh:
 
     @cached_property
     def jacobian(self) -> Array:
-        """Whitened (m, n) at x."""
+        """Whitened Jacobian (m, n) at x."""
         return self.bound.jacobian(self.x)
 
     @cached_property
@@ -232,7 +232,7 @@ class Fresh:
         return replace(self, covariance=covariance) if stds else self
 
     def _of_joint(self, i: int) -> Array:
-        """Direction (n,) in the arm's unknowns that a shift of a joint's zero is."""
+        """Direction (n,) in the arm's unknowns that is equivalent to a shift of a joint's encoder zero."""
         shifted = with_shifts(self.bound)
         arm = np.isin(np.arange(shifted.unknowns), self.of_arm)
         x = np.append(self.at, np.zeros(shifted.unknowns - self.at.size))
@@ -331,7 +331,7 @@ def fresh_rows(
 def _bound(
     result: CalibratedArm, problem: Problem, samples: Samples, kept: Mapping[str, Array], *, other: bool
 ) -> BoundProblem:
-    """Rows with what errs beside the geometry, and with noise as the calibration used it."""
+    """Bind rows with the calibration's non-geometric effects and with noise as it used it."""
     _check_columns(problem, samples)
     slots = make_slots(problem, [samples], kept)
     for slot in slots:  # what the drawn arm proposes from fresh rows is neither known nor estimated
@@ -365,7 +365,7 @@ def _check_columns(problem: Problem, samples: Samples) -> None:
 
 
 def _kept(result: CalibratedArm, problem: Problem, samples: Samples, standing: Collection[str]) -> dict[str, Array]:
-    """Nominal values of what stands where it was calibrated, by name of its slot."""
+    """Nominal values, by slot name, of the unknowns that have not moved since the calibration."""
     instrument, proposed, kept = problem.instrument, result.found.proposed, {}
     there: dict[str, list[str]] = {}
     unknowns: dict[str, Unknown] = {}
@@ -473,7 +473,7 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class Opened:
-    """A result as the instrument of some rows sees it, those rows that count, and lines of those that do not."""
+    """A result as measured by the rows' instrument, the rows that count, and lines of those that do not."""
 
     arm: CalibratedArm
     source: ProblemFile
@@ -507,7 +507,7 @@ class Opened:
         return 0.5 / (math.log(noise.high / noise.low) / (2 * 1.96)) ** 2
 
     def judged(self, fresh: Fresh, standing: tuple[str, ...]) -> Judged:
-        """These rows, bound to the arm, with what was said to stand."""
+        """Record of these rows and of the calibration that they judge; `standing`: what has not moved."""
         verdict = self.arm.found.verdict
         return Judged(
             self.source.problem.robot.name,
@@ -532,7 +532,7 @@ def opened(
     instrument: str | None,
     standing: Collection[str],
 ) -> Opened:
-    """Read what is judged and by what; raises CasacalError as `verify` does."""
+    """Read a result and the fresh rows that judge it; raises CasacalError as `verify` does."""
     if isinstance(standing, str):
         raise CasacalError(f"Got the text '{standing}' as the list of what has not moved", f"Give ['{standing}']")
     found = arm_from(result, "the result")
@@ -601,26 +601,26 @@ def same_arm(one: Robot, two: Robot) -> bool:
 
 
 def fresh_among(arm: CalibratedArm, source: ProblemFile, rows: Samples, *, other: bool) -> Opened:
-    """Without copies of others, and without rows that the arm was calibrated from.
+    """Open rows without copies, and without rows that the arm was calibrated from.
 
     Raises SamplesError where half of the rows or more are those that were fitted.
     """
     again = copies(rows)
     once, data = rows.take(np.flatnonzero(~again)), arm.found.data
-    seen, part = np.zeros(len(once), dtype=bool), 0.0
+    reused, part = np.zeros(len(once), dtype=bool), 0.0
     if data.fitted_rows is not None:
-        seen, part = fitted_among(once, source.problem.layout(), data.fitted_rows)
+        reused, part = fitted_among(once, source.problem.layout(), data.fitted_rows)
     elif data.sha256 == rows.sha256 and arm.found.method != "truth":
         part = 1.0  # a result from before results held their rows
     if part >= SPENT:
-        said = "these are the rows" if seen.all() or not seen.any() else "half of the rows or more are those"
+        said = "these are the rows" if reused.all() or not reused.any() else "half of the rows or more are those"
         fix = "Take fresh rows, in other postures"
         raise SamplesError(rows.file, f"{said} that the arm was calibrated from, which say nothing new", fix)
     copied, fitted = (
         tuple(int(some.lines[k]) for k in np.flatnonzero(which).tolist())
-        for some, which in ((rows, again), (once, seen))
+        for some, which in ((rows, again), (once, reused))
     )
-    fresh = once.take(np.flatnonzero(~seen))
+    fresh = once.take(np.flatnonzero(~reused))
     remarks = (NOTHING if other else TellingColumns.by(arm, fresh)).beyond
     if not other:
         remarks += (*_unlabelled(fresh, source, arm), *_same_postures(fresh, source, data.fitted_rows))

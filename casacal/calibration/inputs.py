@@ -25,58 +25,56 @@ Method: TypeAlias = Callable[..., Result | Array]
 WORSE = 1e-9  # part of the drawing's cost by which an estimate may exceed it: rounding
 
 
-def problem_from(given: Any) -> ProblemFile:
+def problem_from(source: Any) -> ProblemFile:
     """A problem with where it came from, from a problem, a problem file, or a path; raises CasacalError."""
-    if isinstance(given, ProblemFile):
-        return given
-    if isinstance(given, Problem):
-        return ProblemFile.of(given)
-    if isinstance(given, (str, Path)):
-        return load_problem(given)
-    raise CasacalError(f"Got {came(given)} as the problem", "Give a Problem, what load_problem returns, or a path")
+    if isinstance(source, ProblemFile):
+        return source
+    if isinstance(source, Problem):
+        return ProblemFile.of(source)
+    if isinstance(source, (str, Path)):
+        return load_problem(source)
+    raise CasacalError(f"Got {came(source)} as the problem", "Give a Problem, what load_problem returns, or a path")
 
 
-def samples_from(given: Any, source: ProblemFile) -> Samples | Measurements:
+def samples_from(data: Any, source: ProblemFile) -> Samples | Measurements:
     """Samples of a problem's instrument, or of each by name; raises CasacalError."""
     problem = source.problem
     if len(problem.instruments) == 1:
-        only = given.sets[0] if isinstance(given, Measurements) and len(given.sets) == 1 else given
+        only = data.sets[0] if isinstance(data, Measurements) and len(data.sets) == 1 else data
         return samples_of(only, source, 0)
-    if isinstance(given, Measurements):
-        given = dict(zip(given.names, given.sets, strict=True))
-    if given is None and source.samples is not None:
-        given = dict.fromkeys(problem.names)
+    if isinstance(data, Measurements):
+        data = dict(zip(data.names, data.sets, strict=True))
+    if data is None and source.samples is not None:
+        data = dict.fromkeys(problem.names)
     fix = f'Give those of each by name: {", ".join(problem.names)}, such as {{"{problem.names[0]}": ...}}'
-    if not isinstance(given, Mapping):
-        raise CasacalError(f"Got {came(given)} as samples of {len(problem.names)} instruments", fix)
-    for name in given:
+    if not isinstance(data, Mapping):
+        raise CasacalError(f"Got {came(data)} as samples of {len(problem.names)} instruments", fix)
+    for name in data:
         if name not in problem.names:
             raise CasacalError(f"Samples came of '{name}', and no instrument is called that", fix)
     for name in problem.names:
-        if name not in given:
-            fix = f"Give them, or calibrate without it: problem.measured_by('{next(iter(given), name)}')"
+        if name not in data:
+            fix = f"Give them, or calibrate without it: problem.measured_by('{next(iter(data), name)}')"
             raise CasacalError(f"No samples came of the instrument '{name}'", fix)
-    return Measurements(
-        problem.names, tuple(samples_of(given[name], source, i) for i, name in enumerate(problem.names))
-    )
+    return Measurements(problem.names, tuple(samples_of(data[name], source, i) for i, name in enumerate(problem.names)))
 
 
-def samples_of(given: Any, source: ProblemFile, i: int) -> Samples:
+def samples_of(data: Any, source: ProblemFile, i: int) -> Samples:
     """Samples of instrument `i` of a problem; raises CasacalError."""
     problem = source.problem
     layout = problem.layout(i)
-    if isinstance(given, Samples):
-        given.check(layout)
-        return given
-    if given is None and (beside := source.samples_of(i)) is not None:
-        return problem.read(beside, i)
-    if isinstance(given, (str, Path)):
-        return problem.read(given, i)
-    if is_frame(given):
-        return Samples.from_frame(given, layout)
-    if isinstance(given, Mapping):
-        return Samples.from_arrays(given, layout)
-    raise CasacalError(f"Got {came(given)} as samples", "Give Samples, a file, a pandas DataFrame, or arrays by column")
+    if isinstance(data, Samples):
+        data.check(layout)
+        return data
+    if data is None and (file := source.samples_of(i)) is not None:
+        return problem.read(file, i)
+    if isinstance(data, (str, Path)):
+        return problem.read(data, i)
+    if is_frame(data):
+        return Samples.from_frame(data, layout)
+    if isinstance(data, Mapping):
+        return Samples.from_arrays(data, layout)
+    raise CasacalError(f"Got {came(data)} as samples", "Give Samples, a file, a pandas DataFrame, or arrays by column")
 
 
 def chosen(method: str | Method | None, loss: Loss | None) -> tuple[Method, str]:
@@ -120,7 +118,7 @@ def estimate(
 
 
 def _judged(found: Result) -> Result:
-    """A result with a status that fails where it is no estimate, which many methods cannot tell by themselves."""
+    """Fail a result whose cost is not finite or worse than the drawing's, or that is no minimum."""
     if not found.converged:
         return found
     if not math.isfinite(found.cost):

@@ -59,8 +59,8 @@ def used_arm(fit: BoundProblem, result: Result, corrected: Collection[str]) -> A
         return result.x
     arm, x = moving(fit, result.x)
     assert isinstance(arm, ArmAlone)
-    field = np.vstack([_over_workspace(fit, arm, x), _where_seen(fit, result.x)[:, arm.free]])
-    geometry = ~np.array([bool(key) for key in besides(arm)], dtype=bool) & ~arm.datum
+    field = np.vstack([_over_workspace(fit, arm, x), _over_rows(fit, result.x)[:, arm.free]])
+    geometry = ~np.array([bool(key) for key in effect_keys(arm)], dtype=bool) & ~arm.datum
     lost = field[:, left[arm.free]] @ x[left[arm.free]]
     moves = np.linalg.lstsq(field[:, geometry] * arm.start_std[geometry], lost, rcond=SMALLEST)[0]
     used = np.where(left, 0.0, result.x)
@@ -70,7 +70,7 @@ def used_arm(fit: BoundProblem, result: Result, corrected: Collection[str]) -> A
 
 
 def doubtful(fit: BoundProblem, corrected: Collection[str]) -> set[str]:
-    """Corrected effects of the largest size that is believed: something else may stand behind them.
+    """Corrected effects at the largest accepted size: something else may be their cause.
 
     None where rows see the tip itself, which such a correction brings nearer whatever it is.
     """
@@ -78,14 +78,14 @@ def doubtful(fit: BoundProblem, corrected: Collection[str]) -> set[str]:
 
 
 def sees_the_tip(fit: BoundProblem) -> bool:
-    """Whether every row says where the tip itself is, all three axes."""
+    """Whether every row measures the tip itself, all three axes."""
     return all(instrument.words.accuracy for instrument in fit.problem.instruments)
 
 
 def _over_workspace(fit: BoundProblem, arm: ArmAlone, x: Array) -> Array:
-    """Moves of the tip (3 M, s) by each unknown, apart from the position of the base; squares add up to the mean's.
+    """Tip Jacobian (3 M, s) over M workspace poses, apart from the position of the base, over sqrt(M).
 
-    Where nobody knows the columns that rows tell: what an effect does of them there, no geometry can stand for.
+    Columns of the rows count as unknown: no geometry can stand for what an effect does by them.
     """
     joints, everything = workspace_joints(fit.problem.robot), arm.expand(x)
     tips = fit.blocks[0].posture("tip", everything, joints, usual=False)[0]
@@ -93,8 +93,8 @@ def _over_workspace(fit: BoundProblem, arm: ArmAlone, x: Array) -> Array:
     return np.asarray(field / math.sqrt(len(joints)))
 
 
-def _where_seen(fit: BoundProblem, x: Array) -> Array:
-    """Moves of the tip (k, n) at the rows, freed of station poses and the like; empty where rows do not see the tip."""
+def _over_rows(fit: BoundProblem, x: Array) -> Array:
+    """Tip Jacobian (k, n) at N rows over sqrt(N), freed of station poses; empty where rows do not see the tip."""
     if not sees_the_tip(fit):
         return np.zeros((0, fit.unknowns))
     some = fit.thinned(MOST_ROWS)
@@ -104,8 +104,8 @@ def _where_seen(fit: BoundProblem, x: Array) -> Array:
     return np.asarray(slopes / math.sqrt(len(some.measured)))
 
 
-def besides(arm: Seen) -> tuple[str, ...]:
-    """For each unknown the effect that it belongs to, empty for those of the geometry."""
+def effect_keys(arm: Seen) -> tuple[str, ...]:
+    """Key of the effect that each unknown belongs to; empty for those of the geometry."""
     return tuple(arm.whole.beside[j] for j in arm.free) if isinstance(arm, ArmAlone) else arm.beside
 
 
@@ -129,9 +129,9 @@ def tip_extremes(motion: Motion, workspace: tuple[Array, Array, Array]) -> tuple
 class Tried(Value):
     """An effect that could be corrected, and what became of it.
 
-    evidence: by how much the logarithm of the rows' likelihood is larger with it. unseen: the same of rows that were
-    left out, by what was left out together; empty where the first was too little to ask. helps: whether the tip error
-    to expect is smaller with it; None where that was not asked. further: columns of a file that tell it.
+    evidence: gain in log likelihood of the fitted rows. unseen: the same of held-out rows, by what was held out
+    together; empty where the evidence was too small. helps: whether the expected tip error falls with it; None where
+    that was not computed. further: columns of a file that drive it.
     """
 
     key: str
@@ -146,12 +146,12 @@ class Tried(Value):
 
     @property
     def corrected(self) -> bool:
-        """Whether `predict` and all that follows it make up for it; one that columns tell, row by row."""
+        """Whether `predict` and all that follows it correct it; row by row where columns drive it."""
         return bool(self.helps)
 
     @property
     def told(self) -> bool:
-        """Whether they do so by columns of their rows; where these lack them, by their means in the fitted rows."""
+        """Whether columns of the rows drive its correction; rows without them take their means in the fitted rows."""
         return self.corrected and bool(self.further)
 
     @property
@@ -162,8 +162,8 @@ class Tried(Value):
         if self.told:
             became = f"corrected by {listed(self.further)}"
         least = f"at least {VERY_STRONG:+g} each required"
-        told = f"{self.words}, {became}: log likelihood of held-out rows {splits} ({least})"
-        return told if self.helps or self.helps is None else f"{told}, but no gain at the tip"
+        outcome = f"{self.words}, {became}: log likelihood of held-out rows {splits} ({least})"
+        return outcome if self.helps or self.helps is None else f"{outcome}, but no gain at the tip"
 
 
 def tried_corrections(fit: BoundProblem, result: Result) -> tuple[Tried, ...]:
@@ -186,20 +186,20 @@ def tried_corrections(fit: BoundProblem, result: Result) -> tuple[Tried, ...]:
     }
     if not known or not result.converged:
         return ()
-    told = in_sample_gains(fit, result.x, known)
-    likely = [key for key in known if told[key] > VERY_STRONG]
+    evidence = in_sample_gains(fit, result.x, known)
+    likely = [key for key in known if evidence[key] > VERY_STRONG]
     unseen = gains(fit, result.x, likely) if likely else {}
     doubted = () if not likely or sees_the_tip(fit) else at_most(fit)
     doubtful = {effect.key for effect in doubted if not effect.elastic}
     stands: list[str] = []
     found = []
-    for key in sorted(known, key=lambda key: (bool(known[key].further), -told[key])):
+    for key in sorted(known, key=lambda key: (bool(known[key].further), -evidence[key])):
         elsewhere = unseen.get(key, {})
         wins = bool(elsewhere) and min(elsewhere.values()) > VERY_STRONG and key not in doubtful
         errors = (tip_error(fit, result, keys, usual=bool(known[key].further)) for keys in ([*stands, key], stands))
         helps = next(errors) < next(errors) if wins else None
         stands += [key] if helps else []
-        found.append(Tried(key, known[key].words, told[key], elsewhere, helps, known[key].further))
+        found.append(Tried(key, known[key].words, evidence[key], elsewhere, helps, known[key].further))
     return tuple(found)
 
 

@@ -1,4 +1,4 @@
-"""Numbers that are others than the problem says: where the tool is, one of the arm, or all lengths by one part."""
+"""Numbers that differ from the problem file: the tool's place, one of the arm's, or a scale of all lengths."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from casacal.wording import listed, mm, sized
 
 
 def tool_keys(problem: Problem) -> list[str]:
-    """Lengths of the instrument that say where its tip is; none for an instrument without one."""
+    """Keys of the instrument's unknown lengths that place its tip; empty for an instrument without one."""
     probe, unknowns = problem.instrument.probe, problem.instrument.unknowns
     moves = () if probe is None else probe.moves
     return [key for key in moves if isinstance(found := unknowns.get(key), Parameter) and found.unit == "mm"]
 
 
 MEASURED = 1.0  # standard deviation, mm, with which people measure a tool
-TOLD = 4.5  # cost, in units of the noise, by which rows tell two causes apart: three standard deviations
+DISTINGUISHED = 4.5  # cost, in units of the noise, by which rows tell two causes apart: three standard deviations
 
 
 def priors_of(problem: Problem) -> Iterator[tuple[str, str, float, str]]:
@@ -53,7 +53,7 @@ def as_good(bound: BoundProblem, groups: Mapping[str, Sequence[str]], freed: Res
 
     bound: the rows with every prior as stated. Each group is fitted with its own priors away.
     """
-    found, cost = dict[str, str](), freed.cost + TOLD * max(noise_interval(freed)[0], 1.0) ** 2
+    found, cost = dict[str, str](), freed.cost + DISTINGUISHED * max(noise_interval(freed)[0], 1.0) ** 2
     for title, keys in groups.items():
         try:
             other = bind(bound.problem.free(*keys).with_prior(dict.fromkeys(keys, math.inf)), *bound.samples)
@@ -236,7 +236,7 @@ def wrong_scale(bound: Seen, x: Array, covariance: Array) -> list[Finding]:
     return [Finding("error", SCALE, cause, fix)]
 
 
-SEEN = 1e-3  # whitened effect of a difference as large as the prior's, below which rows do not see it
+OBSERVABLE = 1e-3  # whitened effect of a difference as large as the prior's, below which rows do not see it
 
 
 def not_the_same(bound: BoundProblem, result: Result) -> list[Finding]:
@@ -255,11 +255,11 @@ def not_the_same(bound: BoundProblem, result: Result) -> list[Finding]:
         scale, slopes = bound.start_std[columns], bound.jacobian(result.x)[:, columns]
         own = [np.where(owners == bound.problem.number(name), 1.0, 0.0)[:, None] * slopes * scale for name in names[1:]]
         left, sizes, along = svd(freed_of_unknowns(bound, result, np.hstack(own)))
-        seen = sizes > SEEN
-        gains = left[:, seen].T @ weighted(bound, result, bound.residual(result.x))
-        if not seen.any() or chance_beyond(float(gains @ gains), float(seen.sum())) > BY_CHANCE:
+        observable = sizes > OBSERVABLE
+        gains = left[:, observable].T @ weighted(bound, result, bound.residual(result.x))
+        if not observable.any() or chance_beyond(float(gains @ gains), float(observable.sum())) > BY_CHANCE:
             continue
-        apart = (-(along[seen].T @ (gains / sizes[seen]))).reshape(len(names) - 1, -1) * scale
+        apart = (-(along[observable].T @ (gains / sizes[observable]))).reshape(len(names) - 1, -1) * scale
         label = [name for slot in slots for name in slot.unknown.names(slot.name)]
         far = np.unravel_index(int(np.argmax(np.abs(apart / scale))), apart.shape)
         by, unit = abs(float(apart[far])), bound.units[columns[far[1]]]
@@ -283,7 +283,7 @@ def without_its_likes(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def _likelihood(bound: BoundProblem) -> float:
-    """Logarithm of the marginal likelihood of rows where effects beside the geometry are as large as they show."""
+    """Log marginal likelihood of the rows, with sizes of non-geometric effects and noise as found."""
     fit = with_effects(bound.with_noise(found_noise(bound).scale), bound.problem)
     found = lm(fit)
     fit = fit.with_noise(times(fit.scale, noise_interval(found)[0]))
@@ -299,8 +299,8 @@ def _promising(bound: BoundProblem, x: Array, variances: Array) -> list[tuple[st
     gains = {}
     for name, key, std, unit in priors_of(bound.problem):
         j = bound.names.index(name)
-        told = std**2 - variances[j]
-        gains[name, key, unit] = float(x[j] ** 2 / told) if told > DULL * std**2 else 0.0
+        learned = std**2 - variances[j]
+        gains[name, key, unit] = float(x[j] ** 2 / learned) if learned > DULL * std**2 else 0.0
     order, total = sorted(gains, key=lambda each: -gains[each]), sum(gains.values())
     others = max(len(gains) - 1, 1)
     return [each for each in order[:TRIED] if gains[each] > ALONE * max((total - gains[each]) / others, 1.0)]
@@ -335,7 +335,7 @@ def _fix(name: str, unit: str) -> str:
 
 
 def _tried(name: str, unit: str, by: float) -> str:
-    """Which prior lets `calibrate` try it: at least as wide as the number is far away, in one digit."""
+    """Option with a prior at least as wide as the deviation, in one digit, so that `calibrate` can try it."""
     if unit not in WIDE:
         return ""
     digit = 10.0 ** math.floor(math.log10(max(abs(by), WIDE[unit])))

@@ -191,7 +191,7 @@ def _maps(name: str, words: str, values: Array, tips: Array, marks: Array, box: 
     scale, title = Scale.of_sizes(values), TITLES[name]
     caption = CAPTIONS[name] + (" The black frame is the box that was asked for." if box is not None else "")
 
-    def view(side: str, points: Array, seen: Array, across: str, up: str, *drawn: Box) -> Markup:
+    def view(side: str, points: Array, touched: Array, across: str, up: str, *drawn: Box) -> Markup:
         squares = in_squares(points, values**2, SQUARES)
         panel = Panel.square(
             (float(squares.x.min()), float(squares.x.max()) + squares.side),
@@ -212,7 +212,7 @@ def _maps(name: str, words: str, values: Array, tips: Array, marks: Array, box: 
             panel.height,
             axes(panel, across, f"{side} view: {up}", upright=True),
             *parts,
-            *(dots(panel, seen[:, 0], seen[:, 1], look) for look in ("touch-halo", "touch")),
+            *(dots(panel, touched[:, 0], touched[:, 1], look) for look in ("touch-halo", "touch")),
             *frames,
         )
 
@@ -239,7 +239,7 @@ class Workspace:
 
     @staticmethod
     def of(calibration: Calibration) -> Workspace:
-        """Over postures of its own; the base frame is that of the postures that the summary's figure is of."""
+        """Sample random postures; the base is aligned over the postures of the summary's figure."""
         motion = calibration.motion
         arm, x = motion.arm, motion.x
         frame_joints, frame_tips, frame_slopes = calibration.workspace
@@ -268,7 +268,8 @@ def report_page(
     reproduces it, as typed, if there was one. box: where the arm will work, mm in the base frame.
     """
     each = tuple(Touches.of(calibration, i) for i in range(len(calibration.fit.samples)))
-    problem, denied = calibration.fit.problem, verdict_of(calibration).level == "do not use"
+    problem, verdict = calibration.fit.problem, verdict_of(calibration)
+    denied = verdict.level == "do not use"
     noise, closing = noise_part(calibration.unjudged), closing_part(calibration.result, calibration.seconds)
     planes = geometry(calibration.fit, calibration.used_x)["planes"]
     parameters, held = tables.parameters(calibration)
@@ -287,7 +288,8 @@ def report_page(
         "numbered": lambda lines: numbered_lines(lines, LINES),
         **_counts(calibration),
         "unknowns": f"{calibration.fit.unknowns:,}",
-        **_verdict(calibration),
+        "look": LOOKS[verdict.level],
+        "verdict_lines": verdict_lines(calibration, verdict),
         "figures": _figures(calibration),
         "measured": [measured(touches, planes) for touches in each],
         "residuals": tables.residuals(calibration),
@@ -319,17 +321,11 @@ def _counts(calibration: Calibration) -> dict[str, Any]:
     """How many rows were fitted, held out, set aside and left out, and what was held out together."""
     kept = 0 if calibration.heldout is None else len(calibration.heldout.measured)
     aside, copies = len(calibration.aside_lines), calibration.copies
-    besides = [f"{aside:,} set aside"] if aside else []
-    besides += [f"{copies:,} {'copy' if copies == 1 else 'copies'} left out"] if copies else []
-    counts = [f"{len(calibration.fit.measured):,} fitted", f"{kept:,} held out", *besides]
+    excluded = [f"{aside:,} set aside"] if aside else []
+    excluded += [f"{copies:,} {'copy' if copies == 1 else 'copies'} left out"] if copies else []
+    counts = [f"{len(calibration.fit.measured):,} fitted", f"{kept:,} held out", *excluded]
     together = "" if calibration.heldout_by == "rows" or not kept else f" by {calibration.heldout_by}"
-    return {"counts": counts, "aside": besides, "together": together}
-
-
-def _verdict(calibration: Calibration) -> dict[str, Any]:
-    """The verdict in words, after that of the arm with columns that tell effects, and its colour."""
-    verdict = verdict_of(calibration)
-    return {"look": LOOKS[verdict.level], "verdict_lines": verdict_lines(calibration, verdict)}
+    return {"counts": counts, "aside": excluded, "together": together}
 
 
 def _figures(calibration: Calibration) -> list[tuple[str, str, str]]:
@@ -379,7 +375,7 @@ def _noise(calibration: Calibration, noise: Mapping[str, Any]) -> str:
 
 
 def _tried(tried: Sequence[Tried]) -> dict[str, Any]:
-    """Which effects could be corrected, and which are."""
+    """Table of the effects that could be corrected, and of those that are."""
     splits = list(dict.fromkeys(name for each in tried for name in each.unseen))
     yes = {None: "–", True: "yes", False: "no"}
     rows = [

@@ -51,7 +51,7 @@ MOST_MAPS = 12
 
 
 def histograms(touches: Touches) -> Markup:
-    """Before and after, each on a scale of its own."""
+    """Histograms of the residuals before and after, each on its own scale."""
     held = (
         " The orange outline is held-out rows, which the fit did not see; it should look like the bars."
         if len(touches.parts) > 1
@@ -96,7 +96,7 @@ def _histogram(touches: Touches, when: When) -> Markup:
 
 
 def row_plots(touches: Touches) -> Markup:
-    """Before and after, each on a scale of its own."""
+    """Residuals by row before and after, each on its own scale."""
     total = sum(part.after.size for part in touches.parts)
     some = f" Some of {total:,} points are drawn: evenly spread ones and the largest." if total > DRAWN else ""
     if len(touches.series) > MOST_SERIES:
@@ -340,8 +340,8 @@ class Touches:
     def places(self, label: str, most: int = LOOKED_AT) -> Places | None:
         """Where a face was touched; None where its touches lie on a line, so that they have no u and v."""
         chosen = [thinned(part.rows_of(label), most) for part in self.parts]
-        seen = [_seen(part, rows) for part, rows in zip(self.parts, chosen, strict=True)]
-        tips, plungers = (np.vstack(each) for each in zip(*seen, strict=True))
+        touched = [_tips_and_plungers(part, rows) for part, rows in zip(self.parts, chosen, strict=True)]
+        tips, plungers = (np.vstack(each) for each in zip(*touched, strict=True))
         plane = fitted_plane(tips)
         if not plane.flat:
             return None
@@ -364,7 +364,7 @@ def spread(values: Array) -> float:
 
 
 def thinned(rows: Rows, most: int) -> Rows:
-    """At most so many of the rows, evenly spread, the first and the last among them."""
+    """At most `most` of the rows, evenly spread, with the first and the last."""
     if len(rows) <= most:
         return rows
     return rows[np.unique(np.linspace(0, len(rows) - 1, most).astype(np.intp))]
@@ -379,7 +379,7 @@ def _part(calibration: Calibration, bound: BoundProblem, number: int, *, held: b
     return Part(bound, number, held, pair[1], before, after, bound.blocks[number].noise[:, drawn], weight)
 
 
-def _seen(part: Part, rows: Rows) -> tuple[Array, Array]:
+def _tips_and_plungers(part: Part, rows: Rows) -> tuple[Array, Array]:
     """Tips (k, 3; mm) of some rows, and directions of the plunger (k, 3), zero where there is none."""
     block = part.bound.blocks[part.instrument]
     pattern = block.pattern[rows]

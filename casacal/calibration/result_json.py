@@ -43,7 +43,7 @@ def calibration_document(
             "metrics": calibration.metrics,
             **({"metrics_by_instrument": by} if (by := calibration.metrics_by_instrument) else {}),
             "leave_one_face_out": [{**asdict(face), "ratio": face.ratio} for face in calibration.left_out],
-            "identifiability": parts.what_is_seen(calibration),
+            "identifiability": parts.identifiability_part(calibration),
             "cures": [
                 parts.picked(cure, "words", "touches", "expected_rms_mm", "recommended") for cure in calibration.cures
             ],
@@ -71,7 +71,7 @@ def found_part(
         **parts.head_of(source or calibration.source, result, calibration.seed, fit.backend, folder),
         "verdict": asdict(verdict),
         "data": {
-            "file": parts.seen_from(folder, calibration.samples.file),
+            "file": parts.relative_to(folder, calibration.samples.file),
             "sha256": calibration.samples.sha256,
             "samples": len(calibration.samples),
             "heldout": 0 if calibration.heldout is None else len(calibration.heldout.measured),
@@ -102,13 +102,13 @@ def _tip(calibration: Calibration) -> dict[str, Any]:
 
 
 def _fitted_rows(
-    fit: BoundProblem, given: Measurements, folder: Path | None, earlier: EarlierResult | None
+    fit: BoundProblem, measured: Measurements, folder: Path | None, earlier: EarlierResult | None
 ) -> dict[str, Any]:
     """The rows that were fitted, to know them again; of several instruments by name, each with its file.
 
     With those of an earlier result: they tell the same arm, and are not fresh for this one either.
     """
-    if len(given.sets) == 1:
+    if len(measured.sets) == 1:
         listed = listing(fit.samples[0], fit.problem.layout())
         before = None if earlier is None else earlier.fitted_rows
         if before is not None and before["columns"] == listed["columns"]:
@@ -117,13 +117,13 @@ def _fitted_rows(
         return {"fitted_rows": listed}
     sets = {
         name: {
-            "file": parts.seen_from(folder, some.file),
+            "file": parts.relative_to(folder, some.file),
             "sha256": some.sha256,
             "samples": len(some),
             "fitted": len(fit.samples[i]),
             "fitted_rows": listing(fit.samples[i], fit.problem.layout(i)),
         }
-        for i, (name, some) in enumerate(zip(given.names, given.sets, strict=True))
+        for i, (name, some) in enumerate(zip(measured.names, measured.sets, strict=True))
     }
     return {"instruments": sets}
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from casacal.calibration.calibration import Calibration, parts_of
 from casacal.calibration.inputs import Reference
-from casacal.calibration.motion import besides, tip_error
+from casacal.calibration.motion import effect_keys, tip_error
 from casacal.deployment.as_data import problem_data
 from casacal.deployment.result import Verdict
 from casacal.deployment.result_file import SCHEMA
@@ -34,8 +34,8 @@ from casacal.values import Array
 from casacal.wording import listed, mm
 
 
-def columns_told(calibration: Calibration) -> dict[str, tuple[Array, Array]]:
-    """Mean and standard deviation over the fitted rows of each column of a row model that tells a corrected effect."""
+def column_statistics(calibration: Calibration) -> dict[str, tuple[Array, Array]]:
+    """Mean and standard deviation, over the fitted rows, of each column that drives a corrected effect."""
     problem, found = calibration.fit.problem, dict[str, list[Array]]()
     for instrument, block in zip(problem.instruments, calibration.fit.blocks, strict=True):
         for effect in problem.terms:
@@ -47,11 +47,11 @@ def columns_told(calibration: Calibration) -> dict[str, tuple[Array, Array]]:
 
 
 def without_columns(calibration: Calibration) -> float:
-    """Tip error to expect, mm RMS over the workspace, of rows that lack these columns, which then stand at their means.
+    """Expected tip error, mm RMS over the workspace, where those columns are missing and stand at their means.
 
-    What is known of the arm, and how far each column's deviation from its mean moves the tip.
+    Root of tip_std^2 plus the mean square motion of the tip by one standard deviation of each column.
     """
-    block, known = calibration.fit.blocks[0], columns_told(calibration)
+    block, known = calibration.fit.blocks[0], column_statistics(calibration)
     joints = workspace_joints(calibration.fit.problem.robot)
     names, x = list(block.model.names), calibration.used_x
     at = np.array([known.get(name, (away, 0.0))[0] for name, away in zip(names, block.elsewhere, strict=True)])
@@ -64,7 +64,7 @@ def without_columns(calibration: Calibration) -> float:
 
 
 def columns_part(calibration: Calibration) -> dict[str, Any]:
-    """Which columns tell an effect, and what they held in the fitted rows; empty where none is told."""
+    """Columns that drive effects: usual value, mean, spread and range in the fitted rows; empty without any."""
     block = calibration.fit.blocks[0]
     usual = {
         name: float(value)
@@ -73,7 +73,7 @@ def columns_part(calibration: Calibration) -> dict[str, Any]:
     }
     if not calibration.told:
         return {"usual": usual} if usual else {}
-    known = columns_told(calibration)
+    known = column_statistics(calibration)
     return {
         "usual": usual,
         "mean": {name: float(mean) for name, (mean, _) in known.items()},
@@ -84,7 +84,7 @@ def columns_part(calibration: Calibration) -> dict[str, Any]:
 
 
 def _ranges(calibration: Calibration) -> dict[str, dict[str, float]]:
-    """Lowest and highest value in the fitted rows of the columns that tell an effect by amounts."""
+    """Lowest and highest value in the fitted rows of the columns that drive an effect by amounts."""
     problem, found = calibration.fit.problem, dict[str, list[Array]]()
     effects = [effect for effect in effects_of(problem) if effect.key in calibration.told]
     for instrument, block in zip(problem.instruments, calibration.fit.blocks, strict=True):
@@ -101,7 +101,7 @@ def _ranges(calibration: Calibration) -> dict[str, dict[str, float]]:
 
 
 def verdict_lines(calibration: Calibration, verdict: Verdict) -> list[str]:
-    """The verdict, and what it is worth for who lacks the columns that tell effects."""
+    """The verdict in words, and the tip error without the columns that drive effects."""
     if not calibration.told or verdict.level == "do not use":
         return [verdict.words]
     columns = listed([name for each in calibration.tried if each.told for name in each.further])
@@ -117,7 +117,7 @@ _LOG = logging.getLogger("casacal")
 
 def head_of(source: ProblemFile, result: Result, seed: int, backend: str, folder: Path | None) -> dict[str, Any]:
     """The head of result.json in a folder; of a document that stays in memory where there is none."""
-    files = [{**asdict(file), "path": seen_from(folder, file.path)} for file in source.files]
+    files = [{**asdict(file), "path": relative_to(folder, file.path)} for file in source.files]
     try:
         arm = problem_data(source.problem)
     except CasacalError as error:
@@ -127,7 +127,7 @@ def head_of(source: ProblemFile, result: Result, seed: int, backend: str, folder
         "schema": SCHEMA,
         "problem": {
             "name": source.name,
-            "path": seen_from(folder, source.path),
+            "path": relative_to(folder, source.path),
             "sha256": source.sha256,
             "files": files,
         },
@@ -141,13 +141,13 @@ def head_of(source: ProblemFile, result: Result, seed: int, backend: str, folder
 
 
 def earlier_part(calibration: Calibration, folder: Path | None) -> dict[str, Any]:
-    """Which result a calibration began from, and how its rows agree with it; nothing where that was the drawing."""
+    """The earlier result, and how the rows agree with it; empty where the drawing was the prior."""
     earlier = calibration.earlier
     if earlier is None:
         return {}
     return {
         "earlier": {
-            "result": seen_from(folder, earlier.file),
+            "result": relative_to(folder, earlier.file),
             "sha256": earlier.sha256,
             "verdict": asdict(earlier.verdict),
             "expected_rms_mm": earlier.expected_mm,
@@ -159,8 +159,8 @@ def earlier_part(calibration: Calibration, folder: Path | None) -> dict[str, Any
     }
 
 
-def seen_from(folder: Path | None, file: str) -> str:
-    """A path as a file in a folder names it; as it is where there is no folder, no such file, or no way between."""
+def relative_to(folder: Path | None, file: str) -> str:
+    """Path of a file relative to a folder; unchanged where there is no folder, no such file, or no way between."""
     if folder is None or not file or not Path(file).exists():
         return file
     try:
@@ -229,9 +229,9 @@ def discrepancy_part(calibration: Calibration) -> dict[str, Any] | None:
     ]
     places = {name: j for j, name in enumerate(fit.names)}
     unknowns = [
-        {"name": name, "effect": beside, "value": float(calibration.result.x[places[name]])}
-        for name, beside in zip(motion.arm.names, besides(motion.arm), strict=True)
-        if beside
+        {"name": name, "effect": effect, "value": float(calibration.result.x[places[name]])}
+        for name, effect in zip(motion.arm.names, effect_keys(motion.arm), strict=True)
+        if effect
     ]
     names, off = list(motion.arm.names), np.zeros(motion.x.size) if motion.off is None else motion.off
     denied = bool(np.isnan(motion.covariance).any())
@@ -241,7 +241,7 @@ def discrepancy_part(calibration: Calibration) -> dict[str, Any] | None:
     parts: dict[str, Any] = {"effects": effects, "tried": tried, "corrected": corrected, "unknowns": unknowns}
     if calibration.corrected:  # the arm for those who cannot correct an effect, and the tip error to expect of it
         alone = zip(fit.names, calibration.uncorrected_x, fit.beside, strict=True)
-        parts["without_corrections"] = [{"name": n, "value": float(value)} for n, value, beside in alone if not beside]
+        parts["without_corrections"] = [{"name": n, "value": float(value)} for n, value, effect in alone if not effect]
         error = math.nan if denied else tip_error(fit, calibration.result, ())
         parts["expected_rms_mm_without_corrections"] = error
     if calibration.told:
@@ -249,7 +249,7 @@ def discrepancy_part(calibration: Calibration) -> dict[str, Any] | None:
     return {**parts, **known, **columns_part(calibration)}
 
 
-def what_is_seen(calibration: Calibration) -> dict[str, Any]:
+def identifiability_part(calibration: Calibration) -> dict[str, Any]:
     """Rank, null and weak directions, each with its cure; a tip error that is denied is NaN."""
     found, cures = calibration.identifiability, iter(calibration.advice)
     return {
@@ -273,7 +273,7 @@ def reference_part(reference: Reference | None) -> dict[str, Any] | None:
 
 
 def geometry(bound: BoundProblem, x: Array) -> dict[str, Any]:
-    """Planes, directions and frames at the estimate, x itself, and what x counts from where the samples proposed it."""
+    """Planes, directions and frames at x, the unknowns of the geometry, and nominal values from the samples."""
     found: dict[str, dict[str, Any]] = {"planes": {}, "directions": {}, "frames": {}}
     for slot in bound.slots:
         kind, shown = slot.unknown.shown(slot.nominal, x[slot.first : slot.first + slot.unknown.size])
@@ -281,7 +281,7 @@ def geometry(bound: BoundProblem, x: Array) -> dict[str, Any]:
             name = slot.name if kind != "planes" else _face_of(bound, slot)
             found[kind][name] = shown
     rows = zip(bound.names, bound.units, x, bound.beside, strict=True)
-    unknowns = [{"name": name, "unit": unit, "value": value} for name, unit, value, beside in rows if not beside]
+    unknowns = [{"name": name, "unit": unit, "value": value} for name, unit, value, effect in rows if not effect]
     proposed = {slot.name: slot.nominal for slot in bound.slots if slot.unknown.nominal is None}
     return {**found, "unknowns": unknowns, "proposed": proposed}
 

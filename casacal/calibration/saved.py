@@ -179,13 +179,13 @@ class AsArm(ABC):
         return values_of(self.arm, frame=frame, nominal=nominal, force=force)
 
 
-def arm_from(given: Any, what: str) -> CalibratedArm:
+def arm_from(source: Any, what: str) -> CalibratedArm:
     """The arm of a calibration, fresh, read back or by the path of its result.json; raises CasacalError for others."""
-    if isinstance(given, (str, Path)):
-        return read_result(given)
-    found = given.arm if isinstance(given, AsArm) else given
+    if isinstance(source, (str, Path)):
+        return read_result(source)
+    found = source.arm if isinstance(source, AsArm) else source
     if not isinstance(found, CalibratedArm):
-        raise CasacalError(f"Got {came(given)} as {what}", "Give a calibration, or the path of its result.json")
+        raise CasacalError(f"Got {came(source)} as {what}", "Give a calibration, or the path of its result.json")
     return found
 
 

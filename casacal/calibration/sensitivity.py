@@ -74,8 +74,8 @@ def sensitivity(fit: BoundProblem, result: Result, tip: Array) -> Sensitivity:
     models = [_row_function(*each) for each in zip(fit.problem.models, fit.problem.instruments, strict=True)]
     hessian, found = fit.prior_information.copy(), []
     for kind in kinds:
-        given, of_row = (result.x[kind.columns], kind.constants), models[kind.instrument][0]
-        rows = [[each.full() for each in of_row(*given, *row)] for row in zip(kind.data, kind.noise, strict=True)]
+        inputs, of_row = (result.x[kind.columns], kind.constants), models[kind.instrument][0]
+        rows = [[each.full() for each in of_row(*inputs, *row)] for row in zip(kind.data, kind.noise, strict=True)]
         hessian[np.ix_(kind.columns, kind.columns)] += np.sum([row[2] for row in rows], axis=0)
         found.append((np.array([row[0] for row in rows]), np.concatenate([row[1] for row in rows], axis=1)))
     values, vectors = np.linalg.eigh(hessian * np.outer(fit.start_std, fit.start_std))
@@ -87,8 +87,8 @@ def sensitivity(fit: BoundProblem, result: Result, tip: Array) -> Sensitivity:
     tips = np.zeros(len(fit.measured))
     for kind, (slopes, changes) in zip(kinds, found, strict=True):
         places = int(starts[kind.instrument]) + kind.samples
-        seen = squares[np.ix_(kind.columns, kind.columns)]
-        tips[places] = np.sqrt(np.maximum(np.einsum("kmi,ij,kmj->k", slopes, seen, slopes), 0.0))
+        block = squares[np.ix_(kind.columns, kind.columns)]
+        tips[places] = np.sqrt(np.maximum(np.einsum("kmi,ij,kmj->k", slopes, block, slopes), 0.0))
         readings += [(fit.measured.place(int(k)), name) for k in places for name in models[kind.instrument][1]]
         by_reading.append(-inverse[:, kind.columns] @ changes)
     pull, held = fit.prior_information, np.diagonal(fit.prior_information)

@@ -112,7 +112,7 @@ def _of_a_region(bound: BoundProblem, sizes: Array, bad: Index) -> Rows:
 
 
 def most_by_chance(rows: int, free: float) -> float:
-    """Size (standard deviations) of the largest of so many residuals that chance explains, the noise from `free`."""
+    """Largest studentised of `rows` residuals that chance explains, with noise of `free` degrees of freedom."""
     from scipy.special import stdtrit  # Student's quantile, without the half second that importing scipy.stats takes
 
     return float(stdtrit(max(free, 1.0), 1 - CHANCE / (2 * rows)))
@@ -250,7 +250,7 @@ def _refuse_contradiction(bound: BoundProblem, bad: Rows) -> None:
 
 
 def _without(bound: BoundProblem, bad: Rows) -> BoundProblem | None:
-    """The other rows; None where these are too few in all, or on a face for unknowns of its own."""
+    """The problem bound to the other rows; None where these are too few, in all or on a face."""
     if not bad.any():
         return bound
     if bad.sum() > MOST * len(bad):
@@ -272,7 +272,7 @@ def _outliers(bound: BoundProblem) -> Rows:
 
 
 def _taken_back(bound: BoundProblem, bad: Rows, stray: Rows) -> Rows:
-    """Rows (N,) that stay aside; what only looked odd beside a gross row comes back."""
+    """Rows (N,) that stay aside after those near the fit are tested once more."""
     rest = _without(bound, bad)
     if rest is None:
         return bad
@@ -288,12 +288,12 @@ def _taken_back(bound: BoundProblem, bad: Rows, stray: Rows) -> Rows:
 
 
 def _sizes(judged: BoundProblem, result: Result) -> Array:
-    """How far rows (N,) are off, in standard deviations of their noise."""
+    """Largest standardised residual (N,) of each row."""
     return judged.largest(np.abs(judged.residual(result.x)))
 
 
 def _most(judged: BoundProblem) -> float:
-    """How far chance may put the farthest of them."""
+    """Largest standardised residual that chance explains."""
     return most_by_chance(judged.rows, judged.rows - judged.beside.count(""))
 
 
@@ -314,9 +314,9 @@ def off_their_face(bound: BoundProblem, scatter: float) -> tuple[Rows, list[Find
         return np.zeros(len(bound.measured), dtype=bool), []
     bad, findings = [], []
     for alone in each_alone(bound.problem, bound.samples):
-        mine, told = strays(alone.problem, alone.samples, scatter)
+        mine, found = strays(alone.problem, alone.samples, scatter)
         bad.append(mine)
-        findings += [replace(each, instrument=alone.name) for each in told]
+        findings += [replace(each, instrument=alone.name) for each in found]
     return np.concatenate(bad), findings
 
 

@@ -1,4 +1,4 @@
-"""What the terminal says of a calibration: the brief, and the full summary."""
+"""Terminal text of a calibration: the brief, and the full summary."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ def next_step(
     if verdict.level == "use with care":
         kept = "" if out is not None else "; --out DIR keeps the result and its report"
         step = next((doubt.step for doubt in doubts(calibration)[:1]), "")
-        asked = calibration.unjudged.suspicious  # the data check, which named nothing, or the result would be denied
-        return f"{step or (VERIFY if asked else f'run {check}, which looks closer at the samples')}{kept}."
+        checked = calibration.unjudged.suspicious  # the data check, which named nothing, or the result would be denied
+        return f"{step or (VERIFY if checked else f'run {check}, which looks closer at the samples')}{kept}."
     if out is None:
         return "add --out DIR to keep the result and its report; casacal compensate, predict and export read it."
     tip = (
@@ -133,8 +133,8 @@ def brief(
     denied = verdict.level == "do not use"
     head = [_subject(calibration), *verdict_lines(calibration, verdict)]
     tail = [] if denied else [*expected, _residual(calibration)]
-    told = verdict.words.lower()
-    untold = [reason for reason in verdict.reasons if reason.lower() not in told]
+    stated = verdict.words.lower()
+    others = [reason for reason in verdict.reasons if reason.lower() not in stated]
     above = _wrapped(head, width)
     cure = "" if denied else best_cure(calibration)
     first = verdict.level == "calibrated" and cure  # a doubt is settled first
@@ -142,9 +142,9 @@ def brief(
         step = next_step(calibration, verdict, about=named, out=out)
         below = _wrapped([*tail, f"Next: {cure if first else step}"], width)
         left = room - len(above) - len(below)
-        if left >= min(len(untold), 2):
+        if left >= min(len(others), 2):
             break
-    reasons = _reasons(untold, width, left)
+    reasons = _reasons(others, width, left)
     said = f"Then: {step if first else cure}" if cure else "" if denied else nothing_helps(calibration)
     more = _wrapped([said], width)
     if len(reasons) + len(more) > left:  # advice gives way to what speaks against the result
@@ -234,7 +234,7 @@ def summary(calibration: Calibration, name: str) -> str:
         _parameters(calibration),
         _blind_spots(calibration, denied),
         "" if denied else _next_steps(calibration),
-        _beside(calibration),
+        _effects(calibration),
         _reference(calibration),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -273,11 +273,11 @@ def _since(calibration: Calibration) -> str:
 
 def _counted(calibration: Calibration) -> str:
     """How many faces there are, or how many samples each instrument took."""
-    given = Measurements.of(calibration.samples)
-    if len(given.sets) > 1:
-        return "".join(f"{len(some)} of the {name}, " for name, some in zip(given.names, given.sets, strict=True))
+    measured = Measurements.of(calibration.samples)
+    if len(measured.sets) > 1:
+        return "".join(f"{len(some)} of the {name}, " for name, some in zip(measured.names, measured.sets, strict=True))
     column = calibration.fit.problem.instrument.groups or ""
-    groups = len(given.sets[0].labels[column].names) if column in given.sets[0].labels else 0
+    groups = len(measured.sets[0].labels[column].names) if column in measured.sets[0].labels else 0
     return f"{groups} {column}{'s' if groups != 1 else ''}, " if groups else ""
 
 
@@ -359,7 +359,7 @@ def _next_steps(calibration: Calibration) -> str:
     return "\n".join([table.text(), *planned, *filter(None, [nothing_helps(calibration)])])
 
 
-def _beside(calibration: Calibration) -> str:
+def _effects(calibration: Calibration) -> str:
     """Non-geometric effects that the rows show, and what became of each correction that was tried."""
     table = tables.effects(calibration)
     if not table.rows:
@@ -369,9 +369,9 @@ def _beside(calibration: Calibration) -> str:
     lines += [replace(table, rows=shown).text()] if shown else []
     left = len(table.rows) - len(shown)
     lines.append(f"{left}{' more' if shown else ''} looked for and not found; result.json lists them all.")
-    asked = [each.became for each in calibration.tried if each.unseen]
+    outcomes = [each.became for each in calibration.tried if each.unseen]
     none = ["None of them is corrected."] if calibration.tried else []
-    return "\n".join([*lines, *(asked or none)])
+    return "\n".join([*lines, *(outcomes or none)])
 
 
 def _reference(calibration: Calibration) -> str:

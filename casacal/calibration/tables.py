@@ -57,16 +57,16 @@ def residuals(calibration: Calibration) -> PrintedTable:
 
 
 def left_out(calibration: Calibration) -> PrintedTable:
-    """Each face as the arm predicts it that the others give; no prediction where it is denied."""
+    """Each face left out: found and predicted residuals, mm RMS; no prediction where it is denied."""
     faces = calibration.left_out
-    given = any(math.isfinite(face.predicted_mm) for face in faces)
-    predicted = ["#Predicted, mm RMS", "#Found over predicted"] if given else []
+    has_predictions = any(math.isfinite(face.predicted_mm) for face in faces)
+    predicted = ["#Predicted, mm RMS", "#Found over predicted"] if has_predictions else []
     rows = [
         [
             shortened(face.face, LONGEST),
             f"{face.rows:,}",
             fixed(face.actual_mm),
-            *([fixed(face.predicted_mm), fixed(face.ratio, 2)] if given else []),
+            *([fixed(face.predicted_mm), fixed(face.ratio, 2)] if has_predictions else []),
             f"{face.p:.2g}",
         ]
         for face in faces

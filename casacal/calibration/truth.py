@@ -60,7 +60,7 @@ def truth_document(simulation: Simulation, source: ProblemFile, bound: BoundProb
     rows = parts.rows_of(bound, x, np.zeros(bound.unknowns), ["simulation"] * bound.unknowns)
     names = seen(bound, x)[0].names
     data = {
-        "file": parts.seen_from(folder, samples.file),
+        "file": parts.relative_to(folder, samples.file),
         "sha256": samples.sha256,
         "samples": len(samples),
         "heldout": 0,

@@ -379,11 +379,11 @@ def _against(calibration: Calibration) -> list[tuple[str, str]]:
 
 
 def wrong_with_samples(calibration: Calibration) -> tuple[Finding, ...]:
-    """Errors in the rows that were fitted, each known by name; the whole check is asked where there is cause."""
+    """Errors in the fitted rows, by the whole data check where the fit is suspicious, else by the quick checks."""
     found = calibration.data_errors if calibration.suspicious else calibration.plain_errors
     own = [each for each in calibration.instrument_findings if each.severity == "error"]
-    told = {"misfit", SCALE, *(error.about for error in own)}
-    return tuple(without_its_likes([*(error for error in found if error.about not in told), *own]))
+    reported = {"misfit", SCALE, *(error.about for error in own)}
+    return tuple(without_its_likes([*(error for error in found if error.about not in reported), *own]))
 
 
 def _unfinished(calibration: Calibration) -> tuple[str, str]:

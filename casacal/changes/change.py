@@ -1,4 +1,4 @@
-"""What was found of an arm that may have changed: figures, sentences with the answer first, JSON's own types."""
+"""Report on an arm that may have changed: figures, sentences with the answer first, JSON's own types."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class CauseFound(Value):
 
     @property
     def amount(self) -> str:
-        """By how much, with intervals of 95 %; nothing of a row."""
+        """Size of the shift with 95 % intervals; empty for a row."""
         parts = []
         for label, unit, shift, std in zip(self.labels, self.units, self.shift, self.std, strict=True):
             said = f"{label} " if len(self.units) > 1 else ""

@@ -59,12 +59,12 @@ def changed(
     Raises CasacalError, UnknownNameError and SamplesError as `verify` does, and for numbers that mean nothing.
 
     """
-    given = opened(result, samples, problem=problem, instrument=instrument, standing=standing)
-    return looked(given, standing, drift or {}, alarm=alarm, touches=touches, seed=seed)[0]
+    case = opened(result, samples, problem=problem, instrument=instrument, standing=standing)
+    return looked(case, standing, drift or {}, alarm=alarm, touches=touches, seed=seed)[0]
 
 
 def looked(
-    given: Opened, standing: Collection[str], drift: Mapping[str, float], *, alarm: float, touches: int, seed: int
+    case: Opened, standing: Collection[str], drift: Mapping[str, float], *, alarm: float, touches: int, seed: int
 ) -> tuple[Change, Look]:
     """`changed` for rows already opened; also returns the last look, without rows that are off."""
     if not (is_real(alarm) and 0.001 <= alarm <= 0.5):
@@ -72,13 +72,13 @@ def looked(
     for what, value, most in (("touches", touches, 100), ("seed", seed, 2**63)):
         if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or not 0 <= value <= most:
             raise CasacalError(f"Got {came(value)} as the {what}", f"Give a whole number from 0 to {most}")
-    if len(given.rows) > MOST:
+    if len(case.rows) > MOST:
         fix = f"Give up to {MOST:,} of them"
-        raise SamplesError(given.rows.file, f"{len(given.rows):,} rows are too many to look at one by one", fix)
-    fresh = with_memory(given.fresh(standing), given.arm).loosened(drift)
-    first = Look.at(fresh, given.noise_freedom, float(alarm), int(seed))
-    look, best, places = _without_bad(first, len(given.rows), float(alarm), int(seed))
-    bad = sorted(set(range(len(given.rows))) - set(places.tolist()))
+        raise SamplesError(case.rows.file, f"{len(case.rows):,} rows are too many to look at one by one", fix)
+    fresh = with_memory(case.fresh(standing), case.arm).loosened(drift)
+    first = Look.at(fresh, case.noise_freedom, float(alarm), int(seed))
+    look, best, places = _without_bad(first, len(case.rows), float(alarm), int(seed))
+    bad = sorted(set(range(len(case.rows))) - set(places.tolist()))
     proposed, tells = None, 0.0
     if not look.alarm:
         ended = ROWS if bad else NOTHING
@@ -86,13 +86,13 @@ def looked(
         ended = CHANGED  # surer than all others together, and nothing is left that is hardly chance
     else:
         ended = UNDECIDED
-        proposed, tells = telling(given.source.problem, look, best, int(touches), int(seed))
+        proposed, tells = telling(case.source.problem, look, best, int(touches), int(seed))
     whitened = first.tests.fresh
     joints = [k for k, cause in enumerate(look.causes) if cause.kind == "joint"]
     found_from = {k: look.found_from(k) for k in joints}
-    seen = [math.isfinite(found_from[k]) if k in found_from else look.seen(k) for k in range(len(look.causes))]
+    shown = [math.isfinite(found_from[k]) if k in found_from else look.observable(k) for k in range(len(look.causes))]
     change = Change(
-        given.judged(fresh, tuple(standing)),
+        case.judged(fresh, tuple(standing)),
         drift=tuple(sorted(drift.items())),
         alarm=float(alarm),
         p=first.smallest,
@@ -101,10 +101,10 @@ def looked(
         freedom=whitened.freedom,
         p_all=first.tests.p[2],
         ended=ended,
-        causes=tuple(_cause(each, look, given.rows, places) for each in best),
-        bad_lines=tuple(int(given.rows.lines[k]) for k in bad),
+        causes=tuple(_cause(each, look, case.rows, places) for each in best),
+        bad_lines=tuple(int(case.rows.lines[k]) for k in bad),
         joints=tuple(Shown(look.causes[k].name, look.causes[k].units[0], found_from[k]) for k in joints),
-        unseen=tuple(cause.name for cause, shows in zip(look.causes, seen, strict=True) if not shows),
+        unseen=tuple(cause.name for cause, shows in zip(look.causes, shown, strict=True) if not shows),
         touches=proposed,
         tells=tells,
     )
@@ -112,7 +112,7 @@ def looked(
 
 
 def _without_bad(look: Look, count: int, alarm: float, seed: int) -> tuple[Look, list[Explanation], NDArray[np.intp]]:
-    """The last look, what explains it, and the numbers of the rows that remain: single ones that are off go first."""
+    """Leave out single faulty rows; return the last look, its explanations and the indices of the rows that remain."""
     places, most = np.arange(count), max(FEWEST, count // 20)
     while look.alarm:
         best = contenders(explanations(look))

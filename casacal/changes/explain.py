@@ -59,7 +59,7 @@ class Cause:
 
 
 def causes_of(fresh: Fresh, shifted: BoundProblem) -> tuple[Cause, ...]:
-    """Every joint, the tool, the base, and each thing that was said to stand where it was calibrated."""
+    """Every joint, the tool, the base, and each unknown that was declared as standing."""
     found = []
     joints = shift_columns(shifted, JOINTS)
     for i, (axis, column) in enumerate(zip(shifted.problem.robot.axes, joints, strict=True)):
@@ -95,7 +95,7 @@ def alone(fresh: FreshRows, k: int, per_row: int) -> Array:
 
 
 def row_bases(fresh: FreshRows, count: int, per_row: int) -> Array:
-    """Orthonormal bases (rows, m, per_row) of what each row alone could be off by; zero where nobody could tell."""
+    """Orthonormal bases (rows, m, per_row) of the errors of each row alone; zero where the others cannot judge it."""
     found = np.zeros((count, len(fresh.residual), per_row))
     for k in range(count):
         left, values, _ = svd(alone(fresh, k, per_row))
@@ -144,7 +144,7 @@ class AllTests:
 
     @cached_property
     def p(self) -> tuple[Array, Array, float]:
-        """Chance of each."""
+        """Chance of each of `found`."""
         by_cause, by_row, whole = self.chances(tuple(np.asarray(each)[None] for each in self.found))
         return by_cause[0], by_row[0], float(whole[0])
 
@@ -171,7 +171,7 @@ class AllTests:
         )
 
     def smallest(self, residuals: Array, noise: Array | float = 1.0) -> Array:
-        """The smallest chance (D,) of whitened residuals (D, m) whose noise was found to be so many times the true."""
+        """Smallest chance (D,) of whitened residuals (D, m); noise: found over true, a scalar or (D,)."""
         squared = np.broadcast_to(np.asarray(noise) ** 2, (len(residuals),))
         by_cause, by_row, everything = self.falls(residuals)
         found = chances(everything / squared, float(self.fresh.freedom), self.noise)
@@ -182,7 +182,7 @@ class AllTests:
         return found
 
     def level(self, alarm: float, seed: int, draws: int = DRAWS) -> float:
-        """Below which the smallest chance of an arm that has not changed falls in this part of all cases."""
+        """Quantile `alarm` of the smallest chance of an arm that has not changed, from simulated rows."""
         rng, size = np.random.default_rng(seed), len(self.fresh.residual)
         found, left = [], draws
         while left:
@@ -212,7 +212,7 @@ class Look:
 
     @staticmethod
     def at(fresh: Fresh, noise_freedom: float, alarm: float, seed: int, shifted: BoundProblem | None = None) -> Look:
-        """Of some rows; `shifted` where they are bound with shifts already."""
+        """Test every cause on fresh rows; `shifted`: their binding with shifts, where there is one already."""
         shifted = with_shifts(fresh.bound) if shifted is None else shifted
         rows, causes, samples = fresh.linear, causes_of(fresh, shifted), len(fresh.bound.block.samples)
         whole = shifted.jacobian(np.append(fresh.x, np.zeros(shifted.unknowns - fresh.bound.unknowns)))
@@ -236,17 +236,17 @@ class Look:
 
     @property
     def alarm(self) -> bool:
-        """Whether rows of an arm that has not changed are hardly like this."""
+        """Whether the smallest chance is below the level."""
         return self.smallest < self.level
 
-    def seen(self, k: int) -> bool:
+    def observable(self, k: int) -> bool:
         """Whether a cause shows in these rows at all."""
         return bool(self.tests.freedoms[k] > 0)
 
     def found_from(self, k: int) -> float:
         """Shift of a joint (rad, mm) that raises the alarm with a chance of 90 %; infinite where none does."""
         length = float(np.linalg.norm(self.slopes[k]))
-        if not self.seen(k) or not length:
+        if not self.observable(k) or not length:
             return math.inf
         level, noise = max(self.level, 1e-12), self.tests.noise
         if math.isfinite(noise):
@@ -271,7 +271,7 @@ NAMED = 0.02  # part of the evidence below which a cause is none of those that r
 
 @dataclass(frozen=True, eq=False)
 class FittedCause:
-    """A cause at its best: its unknowns (k,) with standard deviations, and everything.
+    """Fit of one cause: the posterior mode of its unknowns (k,), with standard deviations.
 
     x (n,): all unknowns. root (n, v): of their covariance, along all that is known.
     """
@@ -316,7 +316,7 @@ def explanations(look: Look, *, linear: bool = False) -> list[Explanation]:
     p_cause, p_row, _ = tests.p
     found = []
     for k, cause in enumerate(look.causes):
-        if not look.seen(k):
+        if not look.observable(k):
             continue
         n, cost = int(tests.freedoms[k]), occam(look.slopes[k], cause.sizes)
         fitted, chi_square, p = None, nothing - float(by_cause[k]), float(p_cause[k])
@@ -380,7 +380,7 @@ def contenders(found: list[Explanation]) -> list[Explanation]:
 
 
 def _judged(look: Look, chi_square: float, freedom: int, cost: float) -> tuple[float, float]:
-    """Chance of the chi-square that is left, and the evidence, after so many directions of such a cost were fitted."""
+    """Chance of the remaining chi-square, and the log evidence, after `freedom` directions were fitted at `cost`."""
     whole, noise = look.tests.fresh.freedom, look.tests.noise
     return chance(chi_square, whole - freedom, noise), likelihood(chi_square, whole, noise) - cost
 
@@ -407,15 +407,15 @@ def telling(
         there = look.shifted.on(replace(pool, sha256="pool"))
     except CasacalError:  # out of reach, or of faces that these rows do not know
         return None, 0.0
-    told = []  # of each cause: whitened residuals (N, m), and their slopes (N, m, k) along what it leaves open
+    rivals = []  # of each cause: whitened residuals (N, m), and their slopes (N, m, k) along what it leaves open
     for each in causes:
         slopes = there.jacobian(each.x) @ each.root
-        told.append((there.residual(each.x).reshape(len(pool), -1), slopes.reshape(len(pool), -1, slopes.shape[1])))
+        rivals.append((there.residual(each.x).reshape(len(pool), -1), slopes.reshape(len(pool), -1, slopes.shape[1])))
     pairs = list(combinations(range(len(causes)), 2))
     chosen, odds = list[int](), 0.0
     for _ in range(min(count, len(pool))):
         gains = [
-            -np.inf if k in chosen else min(_odds(told[a], told[b], [*chosen, k]) for a, b in pairs)
+            -np.inf if k in chosen else min(_odds(rivals[a], rivals[b], [*chosen, k]) for a, b in pairs)
             for k in range(len(pool))
         ]
         chosen.append(int(np.argmax(gains)))

@@ -16,7 +16,7 @@ WHERE = "CASACAL_DATA"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Say what `casacal bench` takes."""
+    """Add the arguments of `casacal bench`."""
     parser.description = (
         "Fit every method to part of every data set and judge it by the rest: split as the set's page says, at "
         "random, and in blocks. The measurements are not part of casacal. A run that was interrupted can be resumed."
@@ -45,12 +45,12 @@ def run(options: argparse.Namespace) -> int:
     if options.only:
         refuse_unknown(f"set in '{options.sets}'", options.only, [each.name for each in sets])
         sets = tuple(each for each in sets if each.name in options.only)
-    beside = Path(sets[0].folder).resolve().parent / METHODS
-    ways = read_ways([*([beside] if beside.is_file() or not options.methods else []), *options.methods])
+    own = Path(sets[0].folder).resolve().parent / METHODS
+    ways = read_ways([*([own] if own.is_file() or not options.methods else []), *options.methods])
     refuse_unknown("method of the benchmark", options.method, ways)
     ways = {name: way for name, way in ways.items() if name in (options.method or ways)}
     study = benchmark(sets, data, ways, quick=options.quick)
-    asked = [f"--{key} {shlex.quote(value)}" for key in ("only", "methods", "method") for value in vars(options)[key]]
-    command = " ".join(["casacal bench", options.sets, *asked])
+    chosen = [f"--{key} {shlex.quote(value)}" for key in ("only", "methods", "method") for value in vars(options)[key]]
+    command = " ".join(["casacal bench", options.sets, *chosen])
     source = StudyFile("bench", (command,), None, study, study, lambda made: bench_lines(made, sets), None)
     return run_source(source, options)

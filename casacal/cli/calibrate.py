@@ -29,7 +29,7 @@ HELP = "calibrate the arm from samples"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Say what `casacal calibrate` takes."""
+    """Add the arguments of `casacal calibrate`."""
     parser.description = (
         "Fit the arm's parameters to samples, cross-check the minimum with another solver, and say how far the "
         "result can be trusted. Exit 1 if it must not be used."
@@ -85,12 +85,12 @@ def run(options: argparse.Namespace) -> int:
         raise CasacalError(f"Got --reference {options.reference} with --no-reference", "Leave one of them out")
     source = load_problem(options.problem)
     problem = common.adjusted(source.problem, options)
-    given = common.sample_files(source, options)
+    files = common.sample_files(source, options)
     loosen, standing, prior = _since(options)
     if options.out is not None:
         places = [Path(options.out) / name for name in FILES]
         read: list[str | Path] = [] if prior is None else [prior.file, *common.made_from(prior)]
-        common.spare(places, *given.values(), options.readings, *(file.path for file in source.files), *read)
+        common.spare(places, *files.values(), options.readings, *(file.path for file in source.files), *read)
     samples = common.read_samples(source, options)
     box = None if options.box is None else common.box_of(options.box)
     method = options.method or ("sckf-lm" if options.loss is None else "lm")
@@ -113,16 +113,16 @@ def run(options: argparse.Namespace) -> int:
             backend=options.backend,
             progress=progress,
         )
-    return _told(calibration, source, box, options)
+    return _report(calibration, source, box, options)
 
 
 def _since(options: argparse.Namespace) -> tuple[dict[str, float | None], list[str], CalibratedArm | None]:
     """Stds by name of --loosen, names of --standing, and the result of --prior-from; None where there is none."""
     from casacal.deployment.result_file import read_result
 
-    given = common.names_of("--loosen", options.loosen)
-    stds: dict[str, float | None] = dict.fromkeys(name for name in given if "=" not in name)
-    stds |= common.stds_of("--loosen", [name for name in given if "=" in name], "theta=2e-5")
+    names = common.names_of("--loosen", options.loosen)
+    stds: dict[str, float | None] = dict.fromkeys(name for name in names if "=" not in name)
+    stds |= common.stds_of("--loosen", [name for name in names if "=" in name], "theta=2e-5")
     standing = common.names_of("--standing", options.standing)
     if options.prior_from is None and not stds and not standing:
         return {}, [], None
@@ -135,8 +135,8 @@ def _since(options: argparse.Namespace) -> tuple[dict[str, float | None], list[s
     return stds, standing, read_result(options.prior_from)
 
 
-def _told(calibration: Calibration, source: ProblemFile, box: Box | None, options: argparse.Namespace) -> int:
-    """Say what was found, in the form that is asked for, and write the files; returns 0 or 1."""
+def _report(calibration: Calibration, source: ProblemFile, box: Box | None, options: argparse.Namespace) -> int:
+    """Print the answer in the requested form and write the files; returns 0 or 1."""
     from casacal.calibration.result_json import calibration_document, write_calibration
     from casacal.calibration.summary import MOST_LINES, brief, summary
     from casacal.calibration.tables import corrected_words

@@ -15,7 +15,7 @@ TOUCHES = 6  # how many touches are proposed where causes cannot be told apart
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Say what `casacal changed` takes."""
+    """Add the arguments of `casacal changed`."""
     parser.description = (
         "Tell from fresh rows whether an encoder zero, the tool, the base or a face has changed since the "
         "calibration, which one and by how much. Where the rows cannot tell, plan the touches that would. Exit 1 if "
@@ -39,13 +39,13 @@ def run(options: argparse.Namespace) -> int:
     outs = [] if options.touches is None else [options.touches]
     common.spare(outs, options.samples, options.readings, result.file, *common.made_from(result))
     standing = common.names_of("--standing", options.standing)
-    given = opened(result, rows, problem=other, instrument=named, standing=standing)
+    case = opened(result, rows, problem=other, instrument=named, standing=standing)
     drift = common.stds_of("--drift", options.drift, "theta=2e-5")
     touches = 0 if options.touches is None else TOUCHES
-    found, _ = looked(given, standing, drift, alarm=options.alarm, touches=touches, seed=options.seed)
+    found, _ = looked(case, standing, drift, alarm=options.alarm, touches=touches, seed=options.seed)
     said, written = found.summary().split("\n"), list[str]()
     if options.touches is not None and found.touches is not None:
-        write_touches(options.touches, found, given.source.problem.layout(), given.source.name)
+        write_touches(options.touches, found, case.source.problem.layout(), case.source.name)
         written.append(Path(options.touches).as_posix())
         said.append(f"Written: {written[0]}")
     elif options.touches is not None:

@@ -13,7 +13,7 @@ HELP = "find mistakes in samples before fitting"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Say what `casacal check` takes."""
+    """Add the arguments of `casacal check`."""
     parser.description = "Find mistakes and weaknesses in samples. Exit 1 if a result from them would be wrong."
     add(parser, *PROBLEM)
     add_samples(parser)

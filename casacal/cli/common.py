@@ -34,7 +34,7 @@ def add(
     required: bool = False,
     dest: str | None = None,
 ) -> None:
-    """An argument, spelled as in a usage line.
+    """Add an argument, spelled as in a usage line.
 
     "PROBLEM" and "[SAMPLES]" have a place; "--json" is said or not; "--seed K" takes a value, "--merge DIR+" one or
     more, and "--prior NAME=STD ..." may come several times, which makes a list.
@@ -71,7 +71,7 @@ JSON = "--json", "print the answer as JSON, and nothing else"  # arguments of se
 
 
 def add_frame(parser: argparse.ArgumentParser, words: str) -> None:
-    """What poses are of."""
+    """Add --frame: flange or tip."""
     add(parser, "--frame", f"{words}; default: flange", default="flange", choices=("flange", "tip"))
 
 
@@ -90,7 +90,7 @@ def _add_readings(parser: argparse.ArgumentParser) -> None:
 
 
 def add_fresh_rows(parser: argparse.ArgumentParser, standing: str) -> None:
-    """A result and rows that it has not seen, of its own instrument or another; `standing`: of --standing."""
+    """Add RESULT and fresh rows, of its own instrument or another; `standing`: help of --standing."""
     add(parser, *RESULT)
     words = f"instrument that took these rows; default: the one with these columns, {OF_SEVERAL}"
     add(parser, "--instrument NAME", words)
@@ -121,13 +121,13 @@ def spare(outs: Iterable[str | Path], *inputs: str | Path | None, option: str = 
     """Raise CasacalError where a command would write over its inputs or, unless `own`, over files of others."""
     from casacal.files import recover, refuse_others
 
-    read = [Path(given) for given in inputs if given is not None and Path(given).is_file()]
+    read = [Path(file) for file in inputs if file is not None and Path(file).is_file()]
     for out in outs:
         path = Path(out)
         if path.suffix.lower() in (".xlsx", ".npy", ".npz"):
             raise CasacalError(f"'{out}' would not be a {path.suffix} file", "Name one that ends in .csv")
         recover(path.parent)
-        if path.exists() and any(path.samefile(given) for given in read):
+        if path.exists() and any(path.samefile(file) for file in read):
             raise CasacalError(f"'{out}' is to be written, and it is what the command reads", f"Name another {option}")
         if not own:
             refuse_others(out, option=option)
@@ -168,7 +168,7 @@ def box_of(text: str, *, option: str = "--box") -> tuple[tuple[float, float], tu
 
 
 def add_samples(parser: argparse.ArgumentParser) -> None:
-    """The samples a command reads, and readings that come apart from them."""
+    """Add SAMPLES, --samples, and readings in a file of their own."""
     add(parser, "[SAMPLES]", "CSV (-: standard input), .xlsx, .npy or .npz; default: samples.csv beside the problem")
     words = "samples of each of several instruments, such as --samples dial=a.csv --samples tracker=b.csv; default: "
     words += "samples-dial.csv and so on beside the problem"
@@ -177,7 +177,7 @@ def add_samples(parser: argparse.ArgumentParser) -> None:
 
 
 def sample_files(source: ProblemFile, options: argparse.Namespace) -> dict[str, str]:
-    """The samples file of each instrument, by its name: as named, or beside the problem; CasacalError where none is."""
+    """The samples file of each instrument by name, as named, else next to the problem; CasacalError without one."""
     names = source.problem.names
     if len(names) == 1:
         if options.sets:
@@ -193,21 +193,21 @@ def sample_files(source: ProblemFile, options: argparse.Namespace) -> dict[str, 
         raise CasacalError(f"Got one file for {len(names)} instruments", f"Name one for each: {wanted}")
     if options.readings is not None:
         raise CasacalError("--readings is for one instrument", "Join readings and poses in one file for each")
-    given = dict[str, str]()
+    files = dict[str, str]()
     for each in options.sets:
         name, equals, file = each.partition("=")
         if not equals or not file.strip():
             raise CasacalError(f"--samples {each} is not NAME=FILE", f"Give one such as {names[0]}=samples.csv")
-        if source.problem.number(name.strip()) >= 0 and name.strip() in given:
+        if source.problem.number(name.strip()) >= 0 and name.strip() in files:
             raise CasacalError(f"--samples gives '{name.strip()}' twice", "Give it once")
-        given[name.strip()] = file
+        files[name.strip()] = file
     for i, name in enumerate(names):
-        beside = source.samples_of(i)
-        if name not in given and not options.sets and beside is not None and beside.is_file():
-            given[name] = beside.as_posix()
-        elif name not in given:
+        default = source.samples_of(i)
+        if name not in files and not options.sets and default is not None and default.is_file():
+            files[name] = default.as_posix()
+        elif name not in files:
             raise CasacalError(f"There are no samples of the {name}", f"Name them: --samples {name}=FILE")
-    return {name: given[name] for name in names}
+    return {name: files[name] for name in names}
 
 
 def read_samples(source: ProblemFile, options: argparse.Namespace, *, absurd: bool = False) -> Samples | Measurements:
@@ -226,7 +226,7 @@ Read = TypeVar("Read")
 
 
 def add_adjustments(parser: argparse.ArgumentParser) -> None:
-    """The options that change a problem without an editor."""
+    """Add the options that change a problem without an editor."""
     add(parser, "--fix NAMES ...", "parameters to hold at nominal: alpha,a3,...")
     add(parser, "--free NAMES ...", "parameters to estimate that are held: tool,...")
     words = "another number of the instrument, such as sign=-1, travel=-5:5 or noise_std=0.02"
@@ -248,15 +248,15 @@ def adjusted(problem: Problem, options: argparse.Namespace) -> Problem:
     priors = stds_of("--prior", options.prior, "a3=0.5")
     problem = problem.free(*free).with_prior(priors).fix(*fix)
     left = problem.free_names() if fix else [*free, *priors]
-    for asked, names in (("freed (--free)", free), ("given a prior (--prior)", priors)):
+    for change, names in (("freed (--free)", free), ("given a prior (--prior)", priors)):
         for name in names:
             if name not in left:
-                raise CasacalError(f"'{name}' is both {asked} and held (--fix)", "Give it in one of the two")
+                raise CasacalError(f"'{name}' is both {change} and held (--fix)", "Give it in one of the two")
     return problem
 
 
 def names_of(option: str, groups: Sequence[str]) -> list[str]:
-    """Names that stand after an option, which may come several times; raises CasacalError where one names nothing."""
+    """Comma-separated names of an option that may be repeated; raises CasacalError where one is empty."""
     found = []
     for group in groups:
         names = [name.strip() for name in group.split(",") if name.strip()]
@@ -267,7 +267,7 @@ def names_of(option: str, groups: Sequence[str]) -> list[str]:
 
 
 def stds_of(option: str, settings: Sequence[str], example: str) -> dict[str, float]:
-    """Numbers (mm, rad; of any sign) by name, as they stand after an option; raises CasacalError with the example."""
+    """Numbers (mm, rad; of any sign) by name from NAME=STD settings; raises CasacalError with the example."""
     return _read(option, settings, "NAME=STD", f"mm or rad, such as {example}", _number)
 
 
@@ -288,7 +288,7 @@ def _read(
 
 
 def add_where(parser: argparse.ArgumentParser) -> None:
-    """Where the tip will work: a box, or joint values."""
+    """Add --box and --targets: where the tip will work."""
     add(parser, "--box X0:X1,Y0:Y1,Z0:Z1", "region where the tip will work, mm, base frame")
     add(parser, "--targets FILE", "joint values where it will work, in place of a box")
 
@@ -344,7 +344,7 @@ def on_table(source: ProblemFile, options: argparse.Namespace) -> ProblemFile:
 
 
 def add_clearance(parser: argparse.ArgumentParser) -> None:
-    """The table, boxes, and the thickness of links."""
+    """Add --table, --keep-out and --link-radius."""
     add(parser, *TABLE, kind=float)
     words = "a box, mm, base frame, that arm and tool must avoid; may be repeated"
     add(parser, "--keep-out X0:X1,Y0:Y1,Z0:Z1 ...", words)
@@ -352,7 +352,7 @@ def add_clearance(parser: argparse.ArgumentParser) -> None:
 
 
 def clearance_of(options: argparse.Namespace) -> Clearance | None:
-    """What was said; None where there is nothing."""
+    """Clearance from --keep-out and --link-radius; None without either."""
     from casacal.planning.candidates import Clearance
 
     radius = options.link_radius

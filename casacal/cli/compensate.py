@@ -21,7 +21,7 @@ SHOWN = 5  # targets not reached that are named one by one
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Say what `casacal compensate` takes."""
+    """Add the arguments of `casacal compensate`."""
     parser.description = (
         "Write joint targets that bring the calibrated robot to the poses meant for the nominal one. Joint targets "
         "keep their branch. Pose targets (with a column qw) take the branch of the joint columns beside them; without "

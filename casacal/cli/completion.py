@@ -14,7 +14,7 @@ PLACES = ("FILE", "DIR", "PROBLEM", "SAMPLES", "RESULT", "JOINTS", "TARGETS", "P
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Say what `casacal completion` takes."""
+    """Add the arguments of `casacal completion`."""
     parser.description = "Print a completion script, made from the commands of this version."
     add(parser, "SHELL", "the shell that the script is for", choices=("bash", "zsh"))
     parser.epilog = (

@@ -46,11 +46,11 @@ STEPS = {
         "compensate {0}/fit/result.json {0}/targets.csv --format urscript --out {0}/ur5.script"
     ),
 }
-"""What each command is for, and the command."""
+"""Purpose of each command, and the command with {0} for the folder and {1} for the seed."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Say what `casacal demo` takes."""
+    """Add the arguments of `casacal demo`."""
     parser.description = (
         "Make a problem from a data sheet, plan touches, simulate some, calibrate, and correct targets. Every step is "
         "a command that is shown, so that you can repeat it with your own arm."

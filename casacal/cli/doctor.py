@@ -19,7 +19,7 @@ HELP = "find a controller's conventions from poses on its pendant"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Say what `casacal doctor` takes."""
+    """Add the arguments of `casacal doctor`."""
     parser.description = (
         "Find joint signs, quarter-turn offsets, coupled joints, units and the convention of orientation from poses "
         "that the pendant shows, and print them as a [conventions] block. If one number was copied wrongly, name it. "

@@ -12,7 +12,7 @@ HELP = "write a calibrated arm as DH table, URDF, zero offsets or C"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Say what `casacal export` takes."""
+    """Add the arguments of `casacal export`."""
     parser.description = "Write a calibrated arm in a form that other programs read."
     add(parser, *RESULT)
     add(parser, *INSTRUMENT)

@@ -14,7 +14,7 @@ from importlib import import_module
 from typing import Any, NoReturn
 
 from casacal.cli.common import BAD_INPUT, DONE, FAILED, INTERRUPTED
-from casacal.cli.terminal import complain, finish, prepare, words_beside
+from casacal.cli.terminal import complain, finish, prepare, redirect_words
 from casacal.errors import CasacalError, RefusedResultError, refuse_unknown
 from casacal.public import __version__
 from casacal.threads import one_thread_each
@@ -23,7 +23,7 @@ AGAIN = 0.1  # seconds after which an interrupt that ended nothing is raised onc
 
 
 def heard(run: Callable[[], int]) -> int:
-    """Run a command; an interrupt is raised again until it ends that, but not in what tidies up after it.
+    """Run a command; re-raise an interrupt until it ends the command, except during its clean-up.
 
     Raises KeyboardInterrupt, also where the command went on to its end: what it says then may be wrong. Where there
     are no alarms (Windows), in a thread, and where others handle or ignore interrupts, all stays as it is.
@@ -148,8 +148,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _caught(typed: list[str]) -> int:
     try:
-        asked = [name for name in typed[:1] if name in COMMANDS]
-        parser, typed = build_parser(asked or COMMANDS), _ranges_joined(typed)
+        named = [name for name in typed[:1] if name in COMMANDS]
+        parser, typed = build_parser(named or COMMANDS), _ranges_joined(typed)
         if not typed:
             parser.print_help()
             return DONE
@@ -168,7 +168,7 @@ def _caught(typed: list[str]) -> int:
             raise CasacalError("--out - names no file", "Standard output is /dev/stdout, a file of that name ./-")
         options.typed, options.whole = shlex.join(["casacal", *typed]), build_parser
         try:
-            with words_beside(out):
+            with redirect_words(out):
                 return heard(lambda: int(options.run(options)))
         except SystemExit as end:
             raise CasacalError("Code of the problem's own ends the program (sys.exit)", "Take that out of it") from end

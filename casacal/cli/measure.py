@@ -30,7 +30,7 @@ EVERY = 10  # touches beyond the plan between two words about how many more it t
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Say what `casacal measure` takes."""
+    """Add the arguments of `casacal measure`."""
     parser.description = (
         "Go through the touches of a plan, take each reading from the keyboard or a gauge, and save it at once. A "
         "touch that does not agree with the others is named, with the likely causes. An interrupted session continues "

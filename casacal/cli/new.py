@@ -14,7 +14,7 @@ SHORTEST = 2.0  # mm; a tool shorter than this was given in metres
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Say what `casacal new` takes."""
+    """Add the arguments of `casacal new`."""
     parser.description = "Write a problem folder for an arm given as a DH table or a URDF."
     add(parser, "NAME", "name of the folder, which must not exist yet")
     source = parser.add_mutually_exclusive_group(required=True)

@@ -23,7 +23,7 @@ HELP = "plan which touches to make"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Say what `casacal plan` takes."""
+    """Add the arguments of `casacal plan`."""
     parser.description = (
         "Choose the touches that leave the smallest tip error, among many that the drawn arm can make in the "
         "problem's cell, and write them in the order of a short path. Some repeat others, some are kept to verify."

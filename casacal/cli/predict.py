@@ -12,7 +12,7 @@ HELP = "predict poses of the calibrated arm"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Say what `casacal predict` takes."""
+    """Add the arguments of `casacal predict`."""
     parser.description = (
         "Write the pose x_mm,y_mm,z_mm,qw,qx,qy,qz of a calibrated arm at each row of joint values, in the base frame. "
         "The flange is what robot.pose of the problem gives; the tip is where the instrument touches, including tool "
@@ -39,18 +39,18 @@ def run(options: argparse.Namespace) -> int:
     joints = joints_from(options.joints, result.source)
     nominal = options.nominal
     prediction = predict(result, joints, frame=options.frame, nominal=nominal, std=options.std, force=options.force)
-    told = [] if nominal else told_notes(result, prediction.missing, prediction.beyond)
+    said = [] if nominal else told_notes(result, prediction.missing, prediction.beyond)
     care = [] if result.caution is None else [result.caution]
     write_prediction(
-        options.out, prediction, ["Of the arm as drawn, not as calibrated."] if nominal else [*care, *told]
+        options.out, prediction, ["Of the arm as drawn, not as calibrated."] if nominal else [*care, *said]
     )
     if prediction.unseen:
-        told.append(
+        said.append(
             f"warning: the calibration saw no session {listed(prediction.unseen)}, so where the dial's zero then "
             "stood is known by its prior alone (--std shows it)"
         )
     if (words := result.denial or result.caution) is not None and not nominal:
-        told.append(words)
+        said.append(words)
     found = {
         "unseen": list(prediction.unseen),
         "missing": {words: list(names) for words, names in prediction.missing.items()},
@@ -61,5 +61,5 @@ def run(options: argparse.Namespace) -> int:
         "verdict": result.verdict,
         "written": [options.out],
     }
-    answer(options, found, f"Written: {options.out} ({counted(len(prediction), 'pose')} of the {options.frame})", *told)
+    answer(options, found, f"Written: {options.out} ({counted(len(prediction), 'pose')} of the {options.frame})", *said)
     return DONE

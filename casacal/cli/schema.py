@@ -1,4 +1,4 @@
-"""`casacal schema`: what a result.json holds, for programs that read it."""
+"""`casacal schema`: the JSON schema of result.json, for programs that read it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ HELP = "print the JSON schema of result.json"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Say what `casacal schema` takes: nothing."""
+    """Describe `casacal schema`, which takes no arguments."""
     parser.description = (
         "Print the JSON schema (draft 2020-12) of result.json, by which casacal itself checks the file. Keys that it "
         "does not name may be added by anybody."

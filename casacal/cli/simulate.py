@@ -45,7 +45,7 @@ NUMBERS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Say what `casacal simulate` takes."""
+    """Add the arguments of `casacal simulate`."""
     parser.description = "Let a simulated arm, drawn at random from the problem's priors, touch the faces of a cell."
     add(parser, *PROBLEM)
     add(parser, "--out FILE", "samples to write, such as x.csv; the truth goes to x.truth.json", required=True)
@@ -114,7 +114,7 @@ def run(options: argparse.Namespace) -> int:
         f"{f'{before:.2f}' if before < METRE else UNBOUNDED} to {after:.2f} mm RMS, if the stated noise and priors are "
         "right"
     )
-    say_paragraphs(*_beside(simulation))
+    say_paragraphs(*_not_simulated(simulation))
     if kept is None and checks.is_file() and checks.read_bytes().startswith(b"# simulated by casacal"):
         say_paragraphs(f"warning: {checks.as_posix()} is there from before; it is not of this simulation")
     say_paragraphs(f"Written: {', '.join(written)}")
@@ -127,9 +127,9 @@ def _route(source: ProblemFile, options: argparse.Namespace) -> Route | None:
 
     if options.plan is None:
         return None
-    asked = [f"--{name}" for name in ("samples", "repeats", "tilt") if getattr(options, name)]
-    if asked:
-        raise CasacalError(f"Got --plan and {asked[0]}", "Give one of them: a plan says what is touched")
+    conflicting = [f"--{name}" for name in ("samples", "repeats", "tilt") if getattr(options, name)]
+    if conflicting:
+        raise CasacalError(f"Got --plan and {conflicting[0]}", "Give one of them: a plan says what is touched")
     if len(names := source.problem.names) > 1:
         what = f"A plan is of one instrument, and the problem has {', '.join(names)}"
         raise CasacalError(what, "Leave --plan out: simulate measures with all of them")
@@ -140,7 +140,7 @@ def _route(source: ProblemFile, options: argparse.Namespace) -> Route | None:
     return found
 
 
-SEEN = 1e-3  # degrees, or hundredths of a mm, that a controller shows
+SHOWN = 1e-3  # degrees, or hundredths of a mm, that a controller shows
 MOVED = 10.0  # degrees, or tens of mm, beyond which a posture is another one than the plan's
 
 
@@ -160,7 +160,7 @@ def _compared(route: Route | None, simulation: Simulation, robot: Robot) -> tupl
         )
     apart = np.abs(made.joints - route.samples.joints[np.array(made.lines) - 1])
     apart = (np.where(robot.revolute, np.degrees(apart), apart / 10)).max(axis=1)
-    if moved := int((apart > SEEN).sum()):
+    if moved := int((apart > SHOWN).sum()):
         most = f"{apart.max():.2g} degrees" + ("" if robot.revolute.all() else f", or {10 * apart.max():.2g} mm")
         text = f"{counted(moved, 'posture')} moved by up to {most}, until the tip touched"
         remarks = [text + (" within the travel of the dial" if made.columns else "")]
@@ -186,7 +186,7 @@ def _parted(simulation: Simulation, route: Route | None) -> tuple[Simulation, Sa
     return fit, rows.take(np.flatnonzero(kept)) if kept.any() else None
 
 
-def _beside(simulation: Simulation) -> list[str]:
+def _not_simulated(simulation: Simulation) -> list[str]:
     """Sentences on effects that are not simulated, and on those that the truth file does not hold."""
     from casacal.wording import listed
 
@@ -202,11 +202,11 @@ def _beside(simulation: Simulation) -> list[str]:
     return said
 
 
-def _counts(source: ProblemFile, given: list[str]) -> dict[str, int]:
+def _counts(source: ProblemFile, texts: list[str]) -> dict[str, int]:
     """How many samples each instrument takes: N for all, or NAME=N for each."""
     names = source.problem.names
     found = dict.fromkeys(names, 120)
-    for text in sorted(given, key=lambda each: "=" in each):  # a number for one instrument overrides that for all
+    for text in sorted(texts, key=lambda each: "=" in each):  # a number for one instrument overrides that for all
         name, equals, number = text.rpartition("=")
         try:
             count = int(number)
@@ -232,11 +232,11 @@ def _cell(source: ProblemFile, options: argparse.Namespace) -> Disturbances:
     instrument, problem = source.problem.instruments[0], source.problem
     faced = [name for name, each in zip(problem.names, problem.instruments, strict=True) if each.probe is not None]
     cell: Disturbances = on_table(source, options).cell
-    asked = [name.replace("_", "-") for name in OF_FACES if getattr(options, name) is not None]
-    if asked and not faced:
-        raise CasacalError(f"--{asked[0]} is about faces, and {type(instrument).__name__} touches none", "Leave it out")
+    named = [name.replace("_", "-") for name in OF_FACES if getattr(options, name) is not None]
+    if named and not faced:
+        raise CasacalError(f"--{named[0]} is about faces, and {type(instrument).__name__} touches none", "Leave it out")
     others = ("travel", "outliers", "outlier_size", "gear_waves", "repeats", "approach")
-    given = {name: value for name in (*AMOUNTS, *others) if (value := getattr(options, name)) is not None}
+    values = {name: value for name in (*AMOUNTS, *others) if (value := getattr(options, name)) is not None}
     if options.tilt is not None:
-        given["tilt"] = math.radians(options.tilt)
-    return replace(cell, **given)
+        values["tilt"] = math.radians(options.tilt)
+    return replace(cell, **values)

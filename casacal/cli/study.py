@@ -24,7 +24,7 @@ SAID_EVERY = {True: 0.5, False: 20.0}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Say what `casacal study` takes."""
+    """Add the arguments of `casacal study`."""
     parser.description = (
         "Run a study file and write its report. Trials are recorded one by one, so a run can be resumed."
     )
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_running(parser: argparse.ArgumentParser) -> None:
-    """Who makes the records of a study, and where they go."""
+    """Add the options of how a study is run and where its records go."""
     add(parser, "--workers N", "local processes; default: 1", kind=int, default=1)
     add(parser, "--scheduler ADDRESS", "a Dask scheduler, such as tcp://host:8786")
     add(parser, "--shard I/N", "run only the I-th of N parts of the trials, to be merged later")

@@ -55,8 +55,8 @@ def on_stderr() -> Iterator[None]:
             os.close(kept)
 
 
-def words_beside(out: str | None) -> AbstractContextManager[object]:
-    """Where `out` is standard output itself (/dev/stdout), what is said about the file goes to the errors."""
+def redirect_words(out: str | None) -> AbstractContextManager[object]:
+    """Redirect words to stderr where `out` is standard output itself (/dev/stdout)."""
     with suppress(OSError, ValueError):
         if out is not None and os.path.samestat(os.stat(out), os.fstat(1)):
             return redirect_stdout(sys.stderr)

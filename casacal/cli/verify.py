@@ -13,7 +13,7 @@ HELP = "test a calibration on fresh rows"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Say what `casacal verify` takes."""
+    """Add the arguments of `casacal verify`."""
     parser.description = (
         "Judge a calibration by rows that it has not seen, without fitting the arm again: only the positions of "
         "faces, or of tracker and reflector, are estimated from them. Exit 1 if the residuals are larger than the "
@@ -56,8 +56,8 @@ def run(options: argparse.Namespace) -> int:
     if options.report is not None:
         write_text(options.report, found.page())
     if options.into_report:
-        beside = Path(result.file).with_name(REPORT)
-        write_text(beside, with_section(beside, result, found.section()))
+        report = Path(result.file).with_name(REPORT)
+        write_text(report, with_section(report, result, found.section()))
     said = found.summary(whole=options.verbose).split("\n")
     if result.found.method == "truth":
         said.append(f"warning: {result.file}: {TRUTH}")

@@ -49,18 +49,18 @@ def distinct(axes: Axes, options: Integers) -> list[Index]:
     spread = np.where(axes.turns, np.pi, 500.0)
     q = np.random.default_rng(0).uniform(-spread, spread, (COMPARED, len(spread)))
     turn, place = poses_of(axes, options, q)
-    told = np.concatenate([turn.reshape(len(options), -1), place.reshape(len(options), -1)], axis=1)
+    signatures = np.concatenate([turn.reshape(len(options), -1), place.reshape(len(options), -1)], axis=1)
     groups: list[Index] = []
     left = np.arange(len(options))
     while left.size and len(groups) < MOST_MEANINGS:
-        same = np.abs(told[left] - told[left[0]]).max(axis=1) < SAME
+        same = np.abs(signatures[left] - signatures[left[0]]).max(axis=1) < SAME
         groups.append(left[same])
         left = left[~same]
     return groups
 
 
 def conventions_of(reading: Integers, mixing: Array) -> Conventions | None:
-    """A reading (n, 4) as `Conventions` of the robot's own joint values; None when they cannot say it.
+    """A reading (n, 4) as `Conventions` of the robot's own joint values; None where it has no such form.
 
     mixing: what the robot's pose does to its joint values (n, n), the identity but for a pose that couples joints.
     """
@@ -84,7 +84,7 @@ def conventions_of(reading: Integers, mixing: Array) -> Conventions | None:
 
 
 def changes(conventions: Conventions) -> tuple[int, int, float, tuple[float, ...]]:
-    """How far from plain conventions are, to sort by: settings changed, couplings, size of offsets, their order."""
+    """Sort key of the distance from plain conventions: settings changed, couplings, size of offsets, their order."""
     shifted = [offset for offset in conventions.offsets if abs(offset) > 1e-9]
     changed = sum(sign < 0 for sign in conventions.signs) + len(shifted) + len(conventions.coupling)
     size = float(sum(abs(offset) for offset in shifted))
@@ -92,7 +92,7 @@ def changes(conventions: Conventions) -> tuple[int, int, float, tuple[float, ...
 
 
 TRIED = 300  # random postures among which the most telling one is chosen
-TOLD = 5.0  # multiples of the tolerance by which a posture must separate two conventions
+SEPARATED = 5.0  # multiples of the tolerance by which a posture must separate two conventions
 
 
 @dataclass(frozen=True)
@@ -130,23 +130,23 @@ def further_pose(
         turn, place = poses_of(axes, rivals, shown * scale)
         one, other = np.zeros(len(turn) - 1, dtype=np.intp), np.arange(1, len(turn))
     else:
-        told = [poses_of(axes, m.reading[None], shown * _scale(axes, m)) for m in meanings]
-        turn = np.concatenate([turned for turned, _ in told])
+        poses = [poses_of(axes, m.reading[None], shown * _scale(axes, m)) for m in meanings]
+        turn = np.concatenate([turned for turned, _ in poses])
         # as the controller shows it: a metre and a millimetre that read alike cannot be told apart
         units = [LENGTHS[best.length_unit] / LENGTHS[m.length_unit] for m in meanings]
-        place = np.concatenate([moved * unit for (_, moved), unit in zip(told, units, strict=True)])
+        place = np.concatenate([moved * unit for (_, moved), unit in zip(poses, units, strict=True)])
         one, other = np.triu_indices(len(turn), k=1)
     mm, rad = np.linalg.norm(place[one] - place[other], axis=-1), angle_between(turn[one], turn[other])
     size = np.maximum(mm / tolerance, rad / (tolerance * 1e-3))
     differ = size.max(axis=1) >= 1e-3  # the others are twins in any posture
     size, mm, rad = size[differ], mm[differ], rad[differ]
-    at = int(np.lexsort((size.min(axis=0), (size > TOLD).sum(axis=0)))[-1])
+    at = int(np.lexsort((size.min(axis=0), (size > SEPARATED).sum(axis=0)))[-1])
     least = int(np.argmin(size[:, at]))
-    return FurtherPose(shown[at], float((size[:, at] > TOLD).mean()), float(mm[least, at]), float(rad[least, at]))
+    return FurtherPose(shown[at], float((size[:, at] > SEPARATED).mean()), float(mm[least, at]), float(rad[least, at]))
 
 
 def _scale(axes: Axes, meaning: Meaning) -> Array:
-    """From joint values as shown to rad and mm (n,)."""
+    """Factors (n,) from joint values as shown to rad and mm."""
     return np.where(axes.turns, ANGLES[meaning.joint_unit], LENGTHS[meaning.length_unit])
 
 
@@ -200,7 +200,7 @@ def slips_in(
 def _misses(
     axes: Axes, base: Array, rows: PendantRows, meaning: Meaning, name: tuple[str, str]
 ) -> Callable[[Array], Array]:
-    """What rows of numbers (N, columns) miss by under one meaning: (N, 12), 3 in mm and 9 whose norm is mrad."""
+    """Error function of rows (N, columns) under one meaning: (N, 12), 3 in mm and 9 whose norm is mrad."""
     n, length, scale = rows.joints.shape[1], LENGTHS[meaning.length_unit], _scale(axes, meaning)
 
     def miss(numbers: Array) -> Array:
@@ -264,7 +264,7 @@ WORTH_LEAVING_OUT = range(3, 13)  # numbers of rows at which each is left out in
 
 @dataclass(frozen=True)
 class Miss:
-    """How near the nearest convention comes when none fits: worst row, mm and rad."""
+    """Error of the nearest convention when none fits: worst row, mm and rad."""
 
     mm: float
     rad: float

@@ -82,14 +82,14 @@ def axes_of(robot: Robot) -> Axes:
     pose = Batch(ca.Function("pose", [q], [ca.densify(symbolic)]))
     slope = np.array(ca.Function("slope", [q], [ca.jacobian(symbolic, q)])(np.zeros(n)))
     tried = random_joints(robot, count, np.random.default_rng(0))
-    at_zero, *asked = stacked_poses(pose(np.vstack([np.zeros(n), tried]))[0])
+    at_zero, *poses = stacked_poses(pose(np.vstack([np.zeros(n), tried]))[0])
     turns = tuple(robot.revolute.tolist())
     for mixing in _mixings(turns):
         found = _screws(turns, slope, at_zero, mixing)
         if found is None:
             continue
         turn, place = found.poses(tried @ mixing.T)
-        wanted = np.array(asked)
+        wanted = np.array(poses)
         if np.abs(place - wanted[:, :3, 3]).max() < EXACT and np.abs(turn - wanted[:, :3, :3]).max() < EXACT:
             return found
     fix = "Give the doctor a pose without gears or links"

@@ -74,7 +74,7 @@ def command_of(line: str) -> tuple[str, int | None] | None:
 
 
 def touch_of(line: str, layout: Layout, planned: Touch | None, gauge: Gauge) -> Typed:
-    """The touch that a line says: readings alone where joints are as planned, or joints and readings, then labels.
+    """Parse a typed touch: readings alone where joints are as planned, or joints and readings, then labels.
 
     Angles are typed in degrees, lengths in mm; numbers are apart by blanks or semicolons, or by commas where they have
     points. A single number is read as the gauge would write it. Raises CasacalError for lines that are neither.
@@ -113,9 +113,9 @@ def read_by(gauge: Gauge, line: str, layout: Layout, planned: Touch | None) -> T
     if len(layout.columns) == 1:
         read = {name: gauge.reading(line, kind) for name, kind in layout.columns.items()}
     else:
-        cells, asked = [cell for cell in re.split(r"[\s;,]+", gauge.refuse_error(line)) if cell], len(layout.columns)
-        if len(cells) != asked or not all(NUMBER.fullmatch(cell) for cell in cells):
-            raise CasacalError(f"The gauge sent {line.strip()!r}", f"A line of it is {counted(asked, 'number')}")
+        cells, count = [cell for cell in re.split(r"[\s;,]+", gauge.refuse_error(line)) if cell], len(layout.columns)
+        if len(cells) != count or not all(NUMBER.fullmatch(cell) for cell in cells):
+            raise CasacalError(f"The gauge sent {line.strip()!r}", f"A line of it is {counted(count, 'number')}")
         read = _readings(cells, layout)
     return Typed(planned.joints, read, _labels(planned, layout))
 
@@ -164,7 +164,7 @@ def answered(session: Session, proposed: Touch | None, line: str, gauge: Gauge, 
         after = session.take(*typed, number=None if proposed is None else proposed.number)
     except CasacalError as error:
         return Answer(session, (str(error),))
-    return Answer(after, (_told(after), *doubt(after)), "added")
+    return Answer(after, (_report(after), *doubt(after)), "added")
 
 
 def _obeyed(session: Session, proposed: Touch | None, word: str, number: int | None) -> Answer:
@@ -191,7 +191,7 @@ def _obeyed(session: Session, proposed: Touch | None, word: str, number: int | N
             last = f"the last one is {session.shown(len(session) - 1)}" if there else "there is none yet"
             raise CasacalError(f"No touch {number} has been made", f"Give the number of one that was; {last}")
         done, after = "taken back", session.undo(None if number is None else there[number])
-    stands = (_told(after),) if len(after) and after.alarm is None else ()
+    stands = (_report(after),) if len(after) and after.alarm is None else ()
     return Answer(after, (done, *stands, *doubt(after)), "changed")
 
 
@@ -229,8 +229,8 @@ def posture(touch: Touch, layout: Layout) -> str:
     return "; ".join(part for part in parts if part)
 
 
-def _told(session: Session) -> str:
-    """Report of the last touch, and of where the session stands."""
+def _report(session: Session) -> str:
+    """Report of the last touch and of the state of the session."""
     state, last = session.state, session.touches[-1]
     said = [f"touch {session.shown(len(session) - 1)} made, {len(session)} in all"]
     if state.off is not None and state.std is not None:

@@ -27,7 +27,7 @@ UNITS: Mapping[Dimension, Mapping[str, float]] = {
     "angle": {"deg": DEGREE, "\N{DEGREE SIGN}": DEGREE, "rad": 1.0},
     "number": {"": 1.0},
 }
-"""What may follow a reading, with its factor to mm or rad, by what is read; first what a bare number is in."""
+"""Units of a reading with their factors to mm or rad, by dimension; the first is that of a bare number."""
 
 NUMBER = r"(?P<value>[+-]?\s*(?:\d+[.,]?\d*|[.,]\d+))"
 UNIT = r"(?P<unit>mm|inch|in|um|\"|deg|\N{DEGREE SIGN}|rad)?"
@@ -35,10 +35,10 @@ UNIT = r"(?P<unit>mm|inch|in|um|\"|deg|\N{DEGREE SIGN}|rad)?"
 
 @dataclass(frozen=True)
 class Gauge:
-    """How a gauge says a reading: a pattern with the groups `value` and, where it says it, `unit`; else it is `unit`.
+    """Message format of a gauge: a pattern with the group `value` and, where the unit is sent, the group `unit`.
 
-    errors: a pattern of lines by which it says that there is none. unit: "" stands for mm, of angles for degrees. asks:
-    what makes it send one; "" where only its button does.
+    errors: pattern of lines that report an error. unit: of readings sent without one; "" stands for mm, of angles for
+    degrees. asks: request that makes it send a reading; "" where only its button does.
     """
 
     name: str
@@ -48,7 +48,7 @@ class Gauge:
     asks: str = ""
 
     def refuse_error(self, line: str) -> str:
-        """A line without its ends; raises CasacalError where it says that there is no reading."""
+        """The line stripped of its ends; raises CasacalError where it reports an error."""
         text = line.strip("\x00\r\n\t ")
         if re.fullmatch(self.errors, text, re.IGNORECASE):
             what = f"The gauge says {text!r}, which is an error"
@@ -56,11 +56,11 @@ class Gauge:
         return text
 
     def reads(self, line: str) -> bool:
-        """Whether a line has the form of a reading; raises CasacalError where it says that there is none."""
+        """Whether a line has the form of a reading; raises CasacalError where it reports an error."""
         return re.fullmatch(self.pattern, self.refuse_error(line), re.IGNORECASE) is not None
 
     def reading(self, line: str, kind: Dimension = "length") -> float:
-        """The reading of a line, mm, rad or as it is; raises CasacalError where there is none, or in another's unit."""
+        """The reading of a line in mm or rad, or as a number; CasacalError without one or in another kind of unit."""
         text = self.refuse_error(line)
         found = re.fullmatch(self.pattern, text, re.IGNORECASE)
         if found is None:
@@ -84,7 +84,7 @@ GAUGES: Mapping[str, Gauge] = {
     # sign or blank, digits, point, digits; "ERR" and a number for errors; "?" and a carriage return ask for one
     "sylvac": Gauge("sylvac", rf"{NUMBER}\s*{UNIT}\s*[<=>]?", r"ERR\s*\d*", asks="?\r"),
 }
-"""By the name of what makers have in common."""
+"""Gauges by the name of their protocol."""
 
 
 def gauge(name: str, *, pattern: str | None = None, unit: str | None = None, asks: str | None = None) -> Gauge:
@@ -197,7 +197,7 @@ class Inbox:
         self._typed, self._notes = deque[str | None](), deque[str]()
         self._sent: str | None = None
         self._last, self._quiet, self._due, self._more = -math.inf, math.inf, 0.0, 0
-        self._open, self._wanted, self._told = False, False, False
+        self._open, self._wanted, self._noted = False, False, False
 
     def type(self, line: str | None) -> None:
         """A line of the keyboard; None where there will be no more."""
@@ -214,16 +214,16 @@ class Inbox:
                 self._sent, self._open, self._more = line, False, 0
                 self._due = self._last + (0.0 if self._wanted else HOLD)
             else:
-                asked, self._more = self._open or self._sent is not None, self._more + 1
+                awaited, self._more = self._open or self._sent is not None, self._more + 1
                 if self._sent is not None and self._more >= STREAM and self._last < self._due:
                     self._sent, self._open = None, True
-                if not self._told:
-                    why = f"{quiet:.1f} s after another line" if asked else "before it was asked for"
+                if not self._noted:
+                    why = f"{quiet:.1f} s after another line" if awaited else "before it was asked for"
                     self._notes.append(
                         f"Not taken: {line.strip()}, which the gauge sent {why}. Send it again after {QUIET:g} s, or "
                         "press Enter to take its next line"
                     )
-                self._told = True
+                self._noted = True
             self._came.notify()
 
     def note(self, words: str) -> None:
@@ -235,7 +235,7 @@ class Inbox:
     def prompted(self) -> None:
         """From now on a reading is waited for."""
         with self._came:
-            self._sent, self._open, self._wanted, self._told = None, True, False, False
+            self._sent, self._open, self._wanted, self._noted = None, True, False, False
 
     def take_next(self) -> None:
         """Accept the gauge's next line, even one of a stream."""

@@ -1,4 +1,4 @@
-"""What all touches so far tell of the arm, and mistakes that would explain the latest one."""
+"""Belief about the arm after the touches so far, and typing mistakes that would explain the latest one."""
 
 from __future__ import annotations
 
@@ -63,9 +63,9 @@ class Alarm(Value):
     suspects: tuple[Suspected, ...]
 
     @staticmethod
-    def of(rows: LinearRows, told: ShiftedBelief, k: int, suspects: tuple[Suspected, ...], number: int) -> Alarm:
-        """By row k, a touch of some number, where others tell something; of several numbers, their lengths."""
-        off, std = rows.off(told, k)
+    def of(rows: LinearRows, belief: ShiftedBelief, k: int, suspects: tuple[Suspected, ...], number: int) -> Alarm:
+        """Alarm by row k, the touch `number`, against a belief from others; several residuals count by their norm."""
+        off, std = rows.off(belief, k)
         size = float(off[0]) if len(off) == 1 else float(np.linalg.norm(off))  # a single number keeps its sign
         return Alarm(number, size, float(np.linalg.norm(std)), suspects)
 
@@ -95,18 +95,18 @@ def examined(
         return None
     closer = sorted((k for k in looked if chances[k] < CLOSER_LOOK), key=chances.__getitem__)[:LOOKED_INTO]
     raised = last if fresh else min(off, key=chances.__getitem__)
-    told = {numbers[k]: rows.without(k).told(mean) for k in dict.fromkeys([raised, *closer])}
-    suspects = _explained(known, told, slips, rows.noise[0], float(np.median(rows.noise)))
-    return Alarm.of(rows, told[numbers[raised]], raised, suspects, numbers[raised])
+    beliefs = {numbers[k]: rows.without(k).posterior(mean) for k in dict.fromkeys([raised, *closer])}
+    suspects = _explained(known, beliefs, slips, rows.noise[0], float(np.median(rows.noise)))
+    return Alarm.of(rows, beliefs[numbers[raised]], raised, suspects, numbers[raised])
 
 
 def judged_alone(known: Known, touch: Touch, slips: Callable[[int], list[Slip]], number: int) -> Alarm | None:
-    """Look at a touch that is not taken in, by what is known; None where it agrees."""
+    """Alarm about a touch that is not part of the belief; None where it agrees."""
     if touch.kept or chance_of(known, [touch]) >= NEW:
         return None
-    rows, told = LinearRows.of(known, [touch]), ShiftedBelief.by(known.belief)
+    rows, belief = LinearRows.of(known, [touch]), ShiftedBelief.by(known.belief)
     usual = float(np.median(known.bound.block.noise))
-    return Alarm.of(rows, told, 0, _explained(known, {number: told}, slips, rows.noise[0], usual), number)
+    return Alarm.of(rows, belief, 0, _explained(known, {number: belief}, slips, rows.noise[0], usual), number)
 
 
 def refuse_along(known: Known, touch: Touch) -> None:
@@ -120,9 +120,9 @@ def refuse_along(known: Known, touch: Touch) -> None:
 
 def _chances(rows: LinearRows, mean: Array) -> Array:
     """Chance of each touch (touches,) by all others."""
-    told, m = rows.told(mean), rows.residual.shape[1]
-    left = rows.residual + np.einsum("kin,n->ki", rows.slope, told.shift)
-    free = np.eye(m) - np.einsum("kin,nl,kjl->kij", rows.slope, told.covariance, rows.slope)
+    belief, m = rows.posterior(mean), rows.residual.shape[1]
+    left = rows.residual + np.einsum("kin,n->ki", rows.slope, belief.shift)
+    free = np.eye(m) - np.einsum("kin,nl,kjl->kij", rows.slope, belief.covariance, rows.slope)
     some = np.einsum("kii->k", free) > 1e-9 * m  # of a face's only touches nobody can say anything
     squares = np.zeros(len(left))
     squares[some] = np.einsum("ki,ki->k", left[some], np.linalg.solve(free[some], left[some][..., None])[..., 0])
@@ -130,13 +130,13 @@ def _chances(rows: LinearRows, mean: Array) -> Array:
 
 
 def _explained(
-    known: Known, told: Mapping[int, ShiftedBelief], slips: Callable[[int], list[Slip]], noise: Array, usual: float
+    known: Known, beliefs: Mapping[int, ShiftedBelief], slips: Callable[[int], list[Slip]], noise: Array, usual: float
 ) -> tuple[Suspected, ...]:
     """Explanations of touches by their numbers, likeliest first, the best of each kind; noise of a touch (m,), mm."""
     # range of a stray touch in units of its noise, as the evidence counts rows: less ln(2 pi) / 2
     stray = float(np.log(STRAY / np.minimum(noise, STRAY / 2)).sum() - len(noise) * math.log(2 * math.pi) / 2)
     scores: list[tuple[int, Slip | None, float]] = []
-    for number, rest in told.items():
+    for number, rest in beliefs.items():
         scores.append((number, None, rest.evidence + STRAY_WEIGHT - stray))
         others = [slip for slip in slips(number) if known.knows(slip.touch)]  # not a face that nobody has touched
         if not others:
@@ -188,10 +188,10 @@ class SessionSetting(Value):
     def of(
         problem: Problem, plan: Samples | None, cell: Disturbances | None, clearance: Clearance | None
     ) -> SessionSetting:
-        """Of a plan's rows, or of none."""
-        if plan is None or not (told := telling(problem, plan, {})):  # faces that are planned too seldom have no place
+        """Setting with the planned rows whose faces they place, if any."""
+        if plan is None or not (rows := telling(problem, plan, {})):  # faces that are planned too seldom have no place
             return SessionSetting(problem, None, {}, cell, clearance)
-        placed = plan.take(told)
+        placed = plan.take(rows)
         places = proposed_places(bind(problem.without_terms, placed).slots)
         return SessionSetting(problem, placed, places, cell, clearance)
 
@@ -201,14 +201,14 @@ class SessionSetting(Value):
         return pool_of(self.problem, self.cell, POOL, 7, self.clearance)
 
     def known_by(self, touches: Sequence[Touch], before: Known | None) -> Known | None:
-        """Fit of those touches that tell where something stands; `before`: the fit a touch ago, None where none do."""
+        """Belief from the usable touches, None without any; `before`: the belief a touch ago."""
         used = [touches[k] for k in self.usable(touches)]
         if before is not None and len(used) == len(before.touches) and all(map(is_, used, before.touches)):
             return before
         return known_from(self.problem, used, self.places, self.planned, before) if used else None
 
     def usable(self, touches: Sequence[Touch]) -> list[int]:
-        """Which touches tell something: those of faces that are planned or were touched often enough."""
+        """Indices of usable touches: those on faces that are planned or were touched often enough."""
         return telling(self.problem, rows_of(touches), self.places) if touches else []
 
     def state(
@@ -270,7 +270,7 @@ class Known(Value):
 
     @property
     def covariance(self) -> Array:
-        """Of the belief (n, n), in its units."""
+        """Covariance (n, n) of the belief, in its units."""
         return np.asarray(self.belief.root @ self.belief.root.T)
 
     def knows(self, touch: Touch) -> bool:
@@ -279,13 +279,13 @@ class Known(Value):
 
 
 def proposed_places(slots: Sequence[Slot]) -> dict[str, Array]:
-    """Where faces and the like stand that were declared without a nominal value, as the rows propose them."""
+    """Nominal values that the rows propose for unknowns declared without one, by name."""
     return {slot.name: slot.nominal for slot in slots if slot.unknown.nominal is None}
 
 
 def telling(problem: Problem, samples: Samples, places: Places) -> list[int]:
-    """Which rows tell something: those of faces that are planned or were touched often enough."""
-    told = np.ones(len(samples), dtype=bool)
+    """Indices of usable rows: those on faces that are planned or were touched often enough."""
+    usable = np.ones(len(samples), dtype=bool)
     for name, rows, enough in _proposing(problem, samples):
         if name in places:
             continue
@@ -294,8 +294,8 @@ def telling(problem: Problem, samples: Samples, places: Places) -> list[int]:
                 make_slots(problem, (samples.take(rows),), places)
         except ProblemError:  # touches on a line do not say where a face is
             enough = False
-        told[rows] &= enough
-    return [int(k) for k in np.flatnonzero(told)]
+        usable[rows] &= enough
+    return [int(k) for k in np.flatnonzero(usable)]
 
 
 def known_from(
@@ -350,9 +350,9 @@ def _noise_over_stated(bound: BoundProblem, belief: Belief) -> float:
     pull, prior = right @ slopes.T @ r, right @ belief.mean
 
     def likelihood(factor: float) -> float:
-        told, toward = 1 + squares / factor**2, pull / factor**2 + prior
-        left = float(r @ r) / factor**2 + float(prior @ prior) - float(toward @ (toward / told))
-        return -(left + float(np.log(told).sum())) / 2 - len(r) * math.log(factor)
+        information, toward = 1 + squares / factor**2, pull / factor**2 + prior
+        left = float(r @ r) / factor**2 + float(prior @ prior) - float(toward @ (toward / information))
+        return -(left + float(np.log(information).sum())) / 2 - len(r) * math.log(factor)
 
     best = max(FACTORS, key=likelihood)
     return best if likelihood(best) >= likelihood(1.0) + TELLING else 1.0
@@ -388,12 +388,12 @@ def _with_starts(bound: BoundProblem) -> BoundProblem:
 
 
 def counts(problem: Problem, samples: Samples) -> dict[str, bool]:
-    """Whether rows are enough to say where each thing stands that was declared without a nominal value, by name."""
+    """Whether rows are enough to place each unknown that was declared without a nominal value, by name."""
     return {name: enough for name, _, enough in _proposing(problem, samples)}
 
 
 def _proposing(problem: Problem, samples: Samples) -> Iterator[tuple[str, NDArray[np.intp], bool]]:
-    """Each such thing by name, its rows, and whether they are enough."""
+    """Each unknown without a nominal value: its name, its rows, and whether they are enough."""
     for key, unknown in problem.instrument.unknowns.items():
         if unknown.nominal is None:
             flat = int((~np.isfinite(unknown.prior_stds)).sum())
@@ -413,7 +413,7 @@ def covered(bound: BoundProblem, samples: Samples) -> NDArray[np.bool_]:
 
 SURE = 0.95  # part of all arms whose error stays below what is promised
 POOL = 600  # touches among which the next one is looked for
-MOST = 200  # more touches than nobody makes
+MOST = 200  # more touches than anybody makes
 
 
 @dataclass(frozen=True, eq=False)
@@ -430,7 +430,7 @@ class ShiftedBelief:
         return ShiftedBelief(np.zeros(belief.mean.size), np.asarray(belief.root @ belief.root.T))
 
     def of(self, residual: Array, slope: Array) -> tuple[Array, Array]:
-        """By how much a touch is off, residual (m,) and slope (m, n), whitened: value (m,) and covariance (m, m)."""
+        """Predicted residual (m,) of a touch and its covariance (m, m), from residual and slope (m, n), whitened."""
         return residual + slope @ self.shift, np.eye(len(residual)) + slope @ self.covariance @ slope.T
 
 
@@ -444,16 +444,16 @@ class LinearRows:
 
     @staticmethod
     def of(known: Known, touches: Sequence[Touch] | Samples) -> LinearRows:
-        """Of touches, about what is known."""
+        """Linearise touches about the mean of a belief."""
         samples = touches if isinstance(touches, Samples) else rows_of(touches)
         bound, x = known.bound.on(samples), known.x
         return LinearRows(bound.residual(x).reshape(len(samples), -1), row_slopes(bound, x), bound.block.noise)
 
     def without(self, k: int) -> LinearRows:
-        """All but one."""
+        """All rows but one."""
         return LinearRows(*(np.delete(part, k, axis=0) for part in (self.residual, self.slope, self.noise)))
 
-    def told(self, mean: Array) -> ShiftedBelief:
+    def posterior(self, mean: Array) -> ShiftedBelief:
         """Posterior of the shift, with a unit prior about -mean."""
         r, j = self.residual.ravel(), self.slope.reshape(-1, mean.size)
         information, gradient = np.eye(mean.size) + j.T @ j, j.T @ r + mean
@@ -462,23 +462,23 @@ class LinearRows:
         chi_square = r @ r + mean @ mean + gradient @ shift
         return ShiftedBelief(shift, covariance, -float(chi_square + np.linalg.slogdet(information)[1]) / 2)
 
-    def off(self, told: ShiftedBelief, k: int) -> tuple[Array, Array]:
-        """By how much a touch is off, and the standard deviation of that (m,), mm."""
-        value, spread = told.of(self.residual[k], self.slope[k])
+    def off(self, belief: ShiftedBelief, k: int) -> tuple[Array, Array]:
+        """Predicted residual of touch k and its standard deviation (m,), mm."""
+        value, spread = belief.of(self.residual[k], self.slope[k])
         return value * self.noise[k], np.sqrt(np.diagonal(spread)) * self.noise[k]
 
 
 def innovations_at(known: Known, touches: Sequence[Touch]) -> tuple[Array, Array]:
     """Predicted residual of each touch if it came next, and its standard deviation, both (touches, m), mm."""
-    rows, told = LinearRows.of(known, touches), ShiftedBelief.by(known.belief)
-    found = np.array([rows.off(told, k) for k in range(len(touches))])
+    rows, belief = LinearRows.of(known, touches), ShiftedBelief.by(known.belief)
+    found = np.array([rows.off(belief, k) for k in range(len(touches))])
     return found[:, 0], found[:, 1]
 
 
 def chance_of(known: Known, touches: Sequence[Touch]) -> float:
-    """Chance that touches are together so far off where all is as is known: chi-square, what they share counted."""
-    rows, told = LinearRows.of(known, touches), ShiftedBelief.by(known.belief)
-    value, spread = told.of(rows.residual.ravel(), rows.slope.reshape(-1, told.shift.size))
+    """Chance of so large a joint residual of some touches: chi-square of their predicted covariance."""
+    rows, belief = LinearRows.of(known, touches), ShiftedBelief.by(known.belief)
+    value, spread = belief.of(rows.residual.ravel(), rows.slope.reshape(-1, belief.shift.size))
     return chance(square(value, spread), len(value))
 
 
@@ -512,7 +512,7 @@ class Pool(Value):
 
     @staticmethod
     def of(known: Known, samples: Samples) -> Pool:
-        """Those of faces that the belief knows."""
+        """Pool of the samples on faces that the belief knows."""
         rows = samples.take(np.flatnonzero(covered(known.bound, samples)))
         return Pool(rows, LinearRows.of(known, rows).slope)
 
@@ -528,6 +528,6 @@ class Pool(Value):
                 return count
             slope = self.slopes[self.most_telling(covariance, field)]
             across = slope @ covariance
-            told = np.eye(len(slope)) + across @ slope.T
-            covariance = covariance - across.T @ np.linalg.solve(told, across)
+            innovation = np.eye(len(slope)) + across @ slope.T
+            covariance = covariance - across.T @ np.linalg.solve(innovation, across)
         return None

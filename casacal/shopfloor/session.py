@@ -127,12 +127,12 @@ class Session(Value):
 
     def keep(self) -> Session:
         """Say that the touch in doubt is right as it is."""
-        k = self._asked().touch
+        k = self._open_alarm().touch
         return self._put(k, replace(self.touches[k], kept=True))
 
     def correct(self, suspect: Suspected | None = None) -> Session:
         """Put right what was typed wrong: as the likeliest explanation has it, or another one of the alarm's."""
-        alarm = self._asked()
+        alarm = self._open_alarm()
         chosen = alarm.suspects[0] if suspect is None else suspect
         if chosen.slip is None:
             what = f"Nothing that could be corrected explains touch {self.shown(chosen.touch)}"
@@ -163,10 +163,10 @@ class Session(Value):
         known = self.state.known
         if left:
             # those to fit by what they tell, then the others in order
-            told = [touch for touch in left if touch.purpose == FIT and known is not None and known.knows(touch)]
-            if not self.best_first or known is None or self.field is None or not told:
+            candidates = [touch for touch in left if touch.purpose == FIT and known is not None and known.knows(touch)]
+            if not self.best_first or known is None or self.field is None or not candidates:
                 return left[0]
-            return told[Pool.of(known, rows_of(told)).most_telling(known.covariance, self.field)]
+            return candidates[Pool.of(known, rows_of(candidates)).most_telling(known.covariance, self.field)]
         if self.tolerance is None or known is None or self.field is None:
             return None
         pool = Pool.of(known, self._setting.further)
@@ -209,7 +209,7 @@ class Session(Value):
 
     @property
     def too_few(self) -> tuple[str, ...]:
-        """Faces and the like that were touched, but too seldom to say where they stand, by name."""
+        """Names of the unknowns, such as faces, with too few touches to place them."""
         fit = [touch for touch in self.touches if touch.purpose != CHECK]
         return tuple(name for name, enough in counts(self.problem, rows_of(fit)).items() if not enough) if fit else ()
 
@@ -287,7 +287,7 @@ class Session(Value):
     def _put(self, k: int, touch: Touch) -> Session:
         return self._after((*self.touches[:k], touch, *self.touches[k + 1 :]))
 
-    def _asked(self) -> Alarm:
+    def _open_alarm(self) -> Alarm:
         if self.alarm is None:
             raise CasacalError("No touch is in doubt", "Answer when there is an alarm")
         return self.alarm

@@ -84,30 +84,30 @@ def joints_of(q: Sequence[float] | Array, layout: Layout) -> Array:
 
 def columns_of(reading: float | Mapping[str, float] | None, layout: Layout) -> dict[str, float]:
     """Readings of the instrument by column; raises CasacalError where they do not fit."""
-    asked = list(layout.columns)
-    wanted = ", ".join(asked) or "no reading at all"
+    names = list(layout.columns)
+    wanted = ", ".join(names) or "no reading at all"
     if reading is not None and not isinstance(reading, Mapping):
-        if len(asked) != 1:
+        if len(names) != 1:
             raise CasacalError(f"Got one reading, but a touch has {wanted}", "Give them by name")
-        reading = {asked[0]: reading}
-    given = reading or {}
-    refuse_unknown("column of a touch", given, asked)
-    for name in asked:
-        if not is_finite(value := given.get(name)):
+        reading = {names[0]: reading}
+    values = reading or {}
+    refuse_unknown("column of a touch", values, names)
+    for name in names:
+        if not is_finite(value := values.get(name)):
             raise CasacalError(f"Got {came(value)} as the {name}", f"Give a number; a touch has {wanted}")
-    return {name: float(given[name]) for name in asked}
+    return {name: float(values[name]) for name in names}
 
 
 def labels_of(plane: str | Mapping[str, str] | None, layout: Layout, planned: Touch | None) -> dict[str, str]:
     """Labels by column, where none is given those of the plan; raises CasacalError where they do not fit."""
-    asked = list(layout.labels)
+    columns = list(layout.labels)
     if isinstance(plane, str):
-        if len(asked) != 1:
-            raise CasacalError(f"Got the label '{plane}', but a touch has {', '.join(asked) or 'none'}", "Give it so")
-        plane = {asked[0]: plane.strip()}
-    given = {} if plane is None else plane
-    refuse_unknown("label of a touch", given, asked)
-    found = {name: given.get(name, "" if planned is None else planned.labels[name]) for name in asked}
+        if len(columns) != 1:
+            raise CasacalError(f"Got the label '{plane}', but a touch has {', '.join(columns) or 'none'}", "Give it so")
+        plane = {columns[0]: plane.strip()}
+    labels = {} if plane is None else plane
+    refuse_unknown("label of a touch", labels, columns)
+    found = {name: labels.get(name, "" if planned is None else planned.labels[name]) for name in columns}
     for name, label in found.items():
         if not isinstance(label, str) or not label:
             raise CasacalError(f"The touch has no {name}", "Name it")
@@ -130,7 +130,7 @@ SHOWN = 3  # decimals of a reading in mm as people type it, and of a joint value
 
 @dataclass(frozen=True, eq=False)
 class Slip(Value):
-    """A mistake: its kind, words, what the touch was without it, and how likely it is beside others (a logarithm)."""
+    """A typing mistake: its kind, words, the touch without it, and the logarithm of its prior weight."""
 
     kind: str
     words: str
@@ -212,15 +212,15 @@ def _mistyped(value: float) -> list[tuple[float, float]]:
     return [(math.copysign(other, value), weight) for other, weight in found]
 
 
-BESIDE = ("order", "touch", "purpose", "kept")
-"""Columns beside those of samples: place in the session, number in the plan, purpose, whether it was kept."""
+SESSION_COLUMNS = ("order", "touch", "purpose", "kept")
+"""Columns that a session adds to those of samples: order, number in the plan, purpose, whether it was kept."""
 
 KEPT, NONE = "yes", "-"
 
 
 @dataclass(frozen=True)
 class TouchFile(Value):
-    """A file of touches to fit, and one of touches to check with beside it; `mark`, the first line: of the session."""
+    """A file of touches to fit and, next to it, one to verify with; `mark`: the first line, which names the session."""
 
     path: Path
     layout: Layout
@@ -288,13 +288,13 @@ class TouchFile(Value):
 
     def _text(self, rows: Sequence[tuple[int, Touch]]) -> str:
         touches = [touch for _, touch in rows]
-        beside = {
+        extra = {
             "order": [str(order) for order, _ in rows],
             "touch": [NONE if touch.number is None else str(touch.number) for touch in touches],
             "purpose": [touch.purpose for touch in touches],
             "kept": [KEPT if touch.kept else NONE for touch in touches],
         }
-        return samples_text(self.layout, rows_of(touches), [self.mark], after=beside, least_decimals=JOINT_DECIMALS)
+        return samples_text(self.layout, rows_of(touches), [self.mark], after=extra, least_decimals=JOINT_DECIMALS)
 
     def _check_mark(self, path: Path, first: str) -> None:
         """Raise SamplesError unless the first line of a file is that of this session: nothing is changed before."""
@@ -313,8 +313,8 @@ class TouchFile(Value):
             return []
         samples, found = Samples.from_file(path, self.layout), []
         missing = (NONE,) * len(samples)
-        beside = zip(*(map(str, samples.extra.get(name, missing)) for name in BESIDE), strict=True)
-        for k, (order, number, purpose, kept) in enumerate(beside):
+        entries = zip(*(map(str, samples.extra.get(name, missing)) for name in SESSION_COLUMNS), strict=True)
+        for k, (order, number, purpose, kept) in enumerate(entries):
             counts = [order] if number == NONE else [order, number]
             if not all(each.isdecimal() and len(each) < 10 for each in counts) or purpose not in PURPOSES:
                 fix = "Restore them, or start a new file"

@@ -45,20 +45,20 @@ class Scatter:
 
     @property
     def half(self) -> float:
-        """Half the freedom: the shape of the gamma distribution that the mean square has."""
+        """Shape of the gamma distribution of the mean square: half the freedom."""
         return self.freedom / 2
 
     def below(self, mean: float) -> float:
-        """Chance of a mean square so small where its mean is another."""
+        """Probability of a mean square of at most `square` where its expectation is `mean`."""
         return 1.0 if mean <= 0 else float(gammainc(self.half, max(self.half * self.square / mean, SMALLEST)))
 
     def upper_mm(self, chance: float) -> float:
-        """Error of which so little or less would be seen with this chance."""
+        """Upper confidence limit of the error: so small a square, or a smaller one, has this chance there."""
         quantile = float(gammaincinv(self.half, chance * self.below(self.noise))) / self.half
         return math.inf if quantile <= SMALLEST else math.sqrt(max(self.square / quantile - self.noise, 0.0))
 
     def lower_mm(self, chance: float) -> float:
-        """Error of which so much or more would be seen with this chance; as much as may be noise is taken for it."""
+        """Lower confidence limit of the error: so large a square, or a larger one, has this chance; noise is `most`."""
         quantile = float(gammainccinv(self.half, chance)) / self.half
         return math.sqrt(max(self.square / quantile - self.most, 0.0))
 
@@ -115,16 +115,16 @@ class Decision:
         return self.reject_above_mm - self.tolerance_mm
 
 
-def decide(scatter: Scatter, given: float, tolerance: float, risk: float) -> Decision:
-    """Decide by the rule of this module.
+def decide(scatter: Scatter, effective_rows: float, tolerance: float, risk: float) -> Decision:
+    """Decide by guarded acceptance and rejection.
 
-    given: rows less what their own unknowns absorbed: what freedom is in proportion to. tolerance: of the RMS error,
-    mm. risk: chance of a wrong decision of an arm at the tolerance, below one half.
+    effective_rows: rows less what their own unknowns absorbed, to which freedom is proportional. tolerance: of the RMS
+    error, mm. risk: chance of a wrong decision of an arm at the tolerance, below one half.
     """
     accept, reject = scatter.accept_below_mm(tolerance, risk), scatter.reject_above_mm(tolerance, risk)
     measured = scatter.measured_mm
     verdict: Conformity = "accept" if measured <= accept else "reject" if measured >= reject else "undecided"
-    further = _further(scatter, given, tolerance, risk) if verdict == "undecided" else None
+    further = _further(scatter, effective_rows, tolerance, risk) if verdict == "undecided" else None
     rests = verdict == "accept" and replace(scatter, noise=0.0).upper_mm(risk) > tolerance
     within = scatter.conformance(tolerance)
     return Decision(
@@ -132,27 +132,27 @@ def decide(scatter: Scatter, given: float, tolerance: float, risk: float) -> Dec
     )
 
 
-def _further(scatter: Scatter, given: float, tolerance: float, risk: float) -> int | None:
-    """Rows that would settle it if the error is as measured; None where as many are out of reach."""
+def _further(scatter: Scatter, effective_rows: float, tolerance: float, risk: float) -> int | None:
+    """Further rows that would settle it if the error is as measured; None beyond `MOST_TIMES` the rows."""
     low, high = 1.0, MOST_TIMES
     if not _settles(scatter, high, tolerance, risk):
         return None
     for _ in range(40):
         middle = math.sqrt(low * high)
         low, high = (low, middle) if _settles(scatter, middle, tolerance, risk) else (middle, high)
-    return max(math.ceil((high - 1) * given), 1)
+    return max(math.ceil((high - 1) * effective_rows), 1)
 
 
 def _settles(scatter: Scatter, times: float, tolerance: float, risk: float) -> bool:
-    """Whether so many times the rows settle it, if the error is as measured."""
+    """Whether `times` the rows would settle it, if the error is as measured."""
     measured = scatter.measured_mm
     more = replace(scatter, freedom=scatter.freedom * times)
     within = measured < tolerance
     at = float(gammainccinv(more.half, 1 - POWER if within else POWER)) / more.half
-    seen = math.sqrt(max((measured**2 + scatter.noise) * at - scatter.noise, 0.0))
+    observed = math.sqrt(max((measured**2 + scatter.noise) * at - scatter.noise, 0.0))
     if within:
-        return replace(more, square=seen**2 + scatter.noise).upper_mm(risk) <= tolerance
-    return seen >= more.reject_above_mm(tolerance, risk)
+        return replace(more, square=observed**2 + scatter.noise).upper_mm(risk) <= tolerance
+    return observed >= more.reject_above_mm(tolerance, risk)
 
 
 USUAL, AS_ROWS = 5.0, 20.0
@@ -207,7 +207,7 @@ class VisibleError:
 
     @cached_property
     def basis(self) -> Array:
-        """Orthonormal basis (k + g, o) of what the own unknowns absorb, whitened; g guesses of them beforehand."""
+        """Orthonormal basis (k + g, o) of what the own unknowns absorb, whitened; g: their prior guesses."""
         _, held = guesses(self.fresh.bound, self.fresh.known)
         return spanned(np.vstack([self.fresh.jacobian[self.kept], held])[:, ~self.fresh.known])
 
@@ -218,7 +218,7 @@ class VisibleError:
 
     @cached_property
     def stated(self) -> Array:
-        """The instrument's own (k,): as it was stated, or less."""
+        """Noise (k,) of the instrument itself: as stated, times `quieter`, and no more than used."""
         return np.asarray(self.quieter * np.minimum(self.fresh.bound.with_noise().noise[self.kept], self.used))
 
     @cached_property
@@ -232,8 +232,8 @@ class VisibleError:
         return np.asarray(self.fresh.bound.sample_of[self.kept], dtype=np.intp)
 
     @cached_property
-    def given(self) -> Array:
-        """How much (k,) of an error of one size everywhere the fit of the own unknowns leaves, squared."""
+    def redundancy(self) -> Array:
+        """Mean square (k,) that the fit of the own unknowns leaves of independent errors of unit mean square."""
         return self._left(np.where(self.leading, 1.0, 0.0), 0.0)
 
     @cached_property
@@ -247,12 +247,12 @@ class VisibleError:
         return self._left(self.used**2, 1.0)
 
     def _left(self, squares: Array, guess: float) -> Array:
-        """Mean square (k,) that is left of independent errors with mean squares (k,), and of guesses, whitened."""
+        """Mean square (k,) left by the fit of independent errors with mean squares (k,), and of whitened guesses."""
         count = len(self.kept)
         whitened = np.concatenate([squares / self.used**2, np.full(len(self.basis) - count, guess)])
         across = self.basis.T @ (whitened[:, None] * self.basis)
-        beside = 1 - 2 * (self.basis**2).sum(axis=1)
-        left = whitened * beside + ((self.basis @ across) * self.basis).sum(axis=1)
+        diagonal = 1 - 2 * (self.basis**2).sum(axis=1)
+        left = whitened * diagonal + ((self.basis @ across) * self.basis).sum(axis=1)
         return np.asarray(self.used**2 * np.maximum(left[:count], 0.0))
 
     def residual(self, x: Array) -> Array:
@@ -272,26 +272,26 @@ class VisibleError:
         if not places.size:
             return None
         parts = int(counts.sum()) / places.size
-        given = float(self.given[counts].sum()) / parts
-        if given < 1e-6 * places.size:
+        effective = float(self.redundancy[counts].sum()) / parts
+        if effective < 1e-6 * places.size:
             return None
         squares = np.bincount(which, residual[counts] ** 2)
-        noise, most = (float(each[counts].sum()) / given for each in (self.noise, self.most))
+        noise, most = (float(each[counts].sum()) / effective for each in (self.noise, self.most))
         again = np.unique(self.fresh.bound.repeats.codes[places], return_counts=True)[1]
         alike = float((again**2).sum()) / places.size  # touches in one posture are one of its kind
         mean = float(squares.mean())
         found = max(float(squares.var()) / mean**2 if mean > 0 else 0.0, 2 / parts)
         uneven = (places.size * found + AS_ROWS * USUAL / parts) / (places.size + AS_ROWS)
-        return Scatter(float(squares.sum()) / given, min(noise, most), most, 2 * given / (uneven * alike))
+        return Scatter(float(squares.sum()) / effective, min(noise, most), most, 2 * effective / (uneven * alike))
 
     def _counted(self, rows: NDArray[np.intp] | None) -> NDArray[np.bool_]:
         """Which residuals (k,) are of some rows, or of all, and in mm."""
         return self.leading if rows is None else self.leading & np.isin(self.sample_of, rows)
 
-    def given_rows(self) -> float:
+    def effective_rows(self) -> float:
         """Rows less what their own unknowns absorbed of them."""
         parts = int(self.leading.sum()) / max(np.unique(self.sample_of[self.leading]).size, 1)
-        return float(self.given[self.leading].sum()) / max(parts, 1.0)
+        return float(self.redundancy[self.leading].sum()) / max(parts, 1.0)
 
     def noises_mm(self) -> tuple[float, float, float]:
         """Noise of a row, RMS: what is taken off, the most that it may be, and as it was stated."""
@@ -311,11 +311,11 @@ class VisibleError:
         """Error that the calibration expects of some rows, RMS."""
         counts = self._counted(rows)
         places = np.unique(self.sample_of[counts]).size
-        given = float(self.given[counts].sum()) * places / max(int(counts.sum()), 1)
-        return math.sqrt(float(self.promised[counts].sum()) / given) if given > 0 else math.nan
+        effective = float(self.redundancy[counts].sum()) * places / max(int(counts.sum()), 1)
+        return math.sqrt(float(self.promised[counts].sum()) / effective) if effective > 0 else math.nan
 
 
-def seen_by_rows(arm: CalibratedArm, fresh: Fresh, without: NDArray[np.intp] | None = None) -> VisibleError:
+def visible_error(arm: CalibratedArm, fresh: Fresh, without: NDArray[np.intp] | None = None) -> VisibleError:
     """The arm's error as fresh rows observe it, all of them or without some residuals.
 
     Part of the stated noise may not be taken off, as it would hide the arm's error, where it was surely stated too
@@ -334,28 +334,28 @@ def seen_by_rows(arm: CalibratedArm, fresh: Fresh, without: NDArray[np.intp] | N
     return VisibleError(fresh, np.setdiff1d(np.arange(bound.rows), [] if without is None else without), quieter)
 
 
-def errors_by_part(seen: VisibleError, drawn: Array) -> tuple[PartError, ...]:
+def errors_by_part(visible: VisibleError, drawn: Array) -> tuple[PartError, ...]:
     """Errors of all rows, then of faces and of regions where there are several with rows enough.
 
     drawn: unknowns (n,) of the arm as drawn, those of the rows fitted.
     """
-    bound, x = seen.fresh.bound, seen.fresh.x
-    pair = seen.residual(drawn), seen.residual(x)
+    bound, x = visible.fresh.bound, visible.fresh.x
+    pair = visible.residual(drawn), visible.residual(x)
     faces = bound.block.samples.faces(bound.problem.instrument.groups)
     everything: NDArray[np.intp] = np.arange(len(faces))
-    asked = [("all", "all rows", everything)]
+    parts = [("all", "all rows", everything)]
     if len(faces.names) > 1:
-        asked += [("face", label, rows) for label, rows in faces.rows().items() if len(rows) >= FEWEST]
-    asked += [("region", label, rows) for label, rows in blocks(bound.tips(x, bound.block.samples.joints)).items()]
+        parts += [("face", label, rows) for label, rows in faces.rows().items() if len(rows) >= FEWEST]
+    parts += [("region", label, rows) for label, rows in blocks(bound.tips(x, bound.block.samples.joints)).items()]
     found = []
-    for kind, label, rows in asked:
-        before, after = (seen.scatter(residual, rows) for residual in pair)
+    for kind, label, rows in parts:
+        before, after = (visible.scatter(residual, rows) for residual in pair)
         if before is not None and after is not None:
             drawn_as, as_calibrated = (
                 ErrorInterval(each.measured_mm, each.lower_mm(BEYOND), each.upper_mm(BEYOND))
                 for each in (before, after)
             )
-            found.append(PartError(kind, label, len(rows), drawn_as, as_calibrated, seen.promised_mm(rows)))
+            found.append(PartError(kind, label, len(rows), drawn_as, as_calibrated, visible.promised_mm(rows)))
     return tuple(found)
 
 

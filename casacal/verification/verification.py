@@ -1,4 +1,4 @@
-"""What a verification found, in figures, in words with the answer first, and as a page."""
+"""Report of a verification: figures, sentences with the answer first, and a page."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ class Verification(Value):
 
     def summary(self, *, whole: bool = True) -> str:
         """Report of `casacal verify --verbose`, or its brief form without `whole`; one paragraph a line."""
-        return "\n".join(_told(self, whole=whole))
+        return "\n".join(_paragraphs(self, whole=whole))
 
     def to_dict(self) -> dict[str, Any]:
         """All of it in JSON's own types, as `casacal verify --json` prints it."""
@@ -158,7 +158,7 @@ class Verification(Value):
 
     def _repr_html_(self) -> str:
         """`summary` for notebooks."""
-        return "".join(f"<p>{escape(words)}</p>" for words in _told(self, whole=False))
+        return "".join(f"<p>{escape(words)}</p>" for words in _paragraphs(self, whole=False))
 
 
 def _context(found: Verification) -> dict[str, Any]:
@@ -170,7 +170,7 @@ def _context(found: Verification) -> dict[str, Any]:
         faces.append([shortened(face.label, LONGEST), f"{face.rows:,}", *sizes, f"{face.p:.2g}"])
     return {
         "found": found,
-        "told": _told(found),
+        "paragraphs": _paragraphs(found),
         "decision": _decision(found),
         "measurand": found.measurand,
         # a result whose own verdict denies it looks no better for rows that agree with it
@@ -188,7 +188,7 @@ def _context(found: Verification) -> dict[str, Any]:
     }
 
 
-def _told(found: Verification, *, whole: bool = True) -> list[str]:
+def _paragraphs(found: Verification, *, whole: bool = True) -> list[str]:
     """Paragraphs, the answer first; statistics, faces and regions where the whole is asked for."""
     own = f" ({first_few(found.judged.own, 4)})"
     what = "Error of the tip, all three axes" if found.accuracy else f"Residual on these {found.things}"
@@ -288,7 +288,7 @@ def _noise(found: Verification) -> str:
 
 
 def _decision(found: Verification) -> list[str]:
-    """The decision with its limits, what it is not a decision of, and what would settle it."""
+    """The decision with its limits, its reservations, and what would settle it."""
     decision = found.decision
     if decision is None:
         return []
@@ -341,19 +341,19 @@ def _limits(decision: Decision) -> str:
 
 
 def _vouches(found: Verification) -> str:
-    """Sentence on what residuals mean and leave open."""
-    seen = f"These rows determine {found.seen} of the arm's {found.unknowns} unknown directions better than the priors"
+    """Sentence on the meaning of the residuals and on the directions that they leave open."""
+    rows = f"These rows determine {found.seen} of the arm's {found.unknowns} unknown directions better than the priors"
     if found.accuracy:
         what = "These are errors of the tip itself where it was measured, apart from the position of the base"
         what += "." if not any(name.startswith("tool") for name in found.judged.own) else " and of the reflector."
     else:
         what = "Small residuals are not accuracy: these rows do not see every direction in which the arm can err."
     if found.denied or not found.kept or not found.promised_tip_mm:
-        return f"{what} {seen}."
+        return f"{what} {rows}."
     if not math.isfinite(found.hidden_tip_mm):
-        return f"{what} {seen}; a tip error of any size could remain unseen."
+        return f"{what} {rows}; a tip error of any size could remain unseen."
     return (
-        f"{what} {seen}. Of the expected tip error of {mm(found.promised_tip_mm)} RMS, {mm(found.hidden_tip_mm)} could "
+        f"{what} {rows}. Of the expected tip error of {mm(found.promised_tip_mm)} RMS, {mm(found.hidden_tip_mm)} could "
         "remain unseen."
     )
 

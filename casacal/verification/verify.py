@@ -23,7 +23,7 @@ from casacal.uncertainty.fresh_rows import FreshRows, chance, learnt
 from casacal.uncertainty.identifiability import prior_scale
 from casacal.uncertainty.tip_error import tip_rms, tip_stds, without_rigid, workspace_joints
 from casacal.values import Array, is_real
-from casacal.verification.arm_error import RISK, Decision, decide, errors_by_part, seen_by_rows
+from casacal.verification.arm_error import RISK, Decision, decide, errors_by_part, visible_error
 from casacal.verification.verification import LEVEL, FaceVerification, Verification
 
 LEAST_RISK = 1e-4  # risk below which nobody knows the noise well enough
@@ -74,47 +74,47 @@ def verify(
     if not (is_real(risk) and LEAST_RISK <= risk < 0.5):
         fix = f"Give a chance from {LEAST_RISK:g} to below 0.5, such as 0.05 for 5 %"
         raise CasacalError(f"The risk is {risk!r}", fix)
-    given = opened(result, samples, problem=problem, instrument=instrument, standing=standing)
-    unit = given.source.problem.instrument.words.unit
+    case = opened(result, samples, problem=problem, instrument=instrument, standing=standing)
+    unit = case.source.problem.instrument.words.unit
     if tolerance is not None and unit != "mm":
         raise CasacalError(f"The tolerance is in mm, but the residuals are in {unit}", "Leave it out")
-    return _judged(given, tuple(standing), None if tolerance is None else float(tolerance), float(risk))
+    return _judged(case, tuple(standing), None if tolerance is None else float(tolerance), float(risk))
 
 
-def _judged(given: Opened, standing: tuple[str, ...], tolerance: float | None, risk: float) -> Verification:
+def _judged(case: Opened, standing: tuple[str, ...], tolerance: float | None, risk: float) -> Verification:
     """All figures of a verification."""
-    fresh, freedom, words = given.fresh(standing), given.noise_freedom, given.source.problem.instrument.words
+    fresh, freedom, words = case.fresh(standing), case.noise_freedom, case.source.problem.instrument.words
     bound, rows, arm = fresh.bound, fresh.linear, fresh.of_arm
     # slopes by the arm's unknowns, in units of their priors (1 mm, 1 mrad if flat); priors of own unknowns have none
     scaled = np.zeros((len(rows.residual), arm.size))
     scaled[: bound.rows] = fresh.jacobian[:, arm] * prior_scale(bound)[arm]
-    per_row = bound.rows // len(given.rows)
+    per_row = bound.rows // len(case.rows)
     off = np.array([k for k in rows.gross() if k < bound.rows], dtype=np.intp)
     kept = np.setdiff1d(np.arange(len(rows.residual)), off)
-    p, arm_chi, seen, arm_p = _chances(rows, scaled, freedom)
+    p, arm_chi, directions, arm_p = _chances(rows, scaled, freedom)
     without, _, _, arm_without = _chances(rows.take(kept), scaled[kept], freedom)
-    drawn, seen_rows = fresh.fitted(np.where(fresh.known, 0.0, fresh.at)), seen_by_rows(given.arm, fresh)
+    drawn, visible = fresh.fitted(np.where(fresh.known, 0.0, fresh.at)), visible_error(case.arm, fresh)
     sizes = [_lengths(bound.plain_residual(x), per_row) for x in (drawn, fresh.x)]
     sizes.append(_lengths(rows.std[: bound.rows] * bound.noise, per_row))
-    noise, most, stated = seen_rows.noises_mm()
+    noise, most, stated = visible.noises_mm()
     promised, hidden = _tips(fresh)
     return Verification(
-        given.judged(fresh, standing),
+        case.judged(fresh, standing),
         before_mm=rms(sizes[0]),
         after_mm=rms(sizes[1]),
         predicted_mm=rms(sizes[2]),
         chi_square=rows.chi_square,
         freedom=rows.freedom,
         p=p,
-        seen=seen,
+        seen=directions,
         arm_chi_square=arm_chi,
         arm_p=arm_p,
         faces=_faces(fresh, sizes, freedom),
-        gross_lines=tuple(sorted({int(given.rows.lines[k // per_row]) for k in off.tolist()})),
+        gross_lines=tuple(sorted({int(case.rows.lines[k // per_row]) for k in off.tolist()})),
         kept_without_gross=min(without, arm_without) >= LEVEL / 2,
         quantile_mm=float(np.quantile(sizes[1], 0.95, method="inverted_cdf")),
-        errors=errors_by_part(seen_rows, drawn) if words.unit == "mm" else (),
-        decision=None if tolerance is None else _decision(given.arm, fresh, off, tolerance, risk),
+        errors=errors_by_part(visible, drawn) if words.unit == "mm" else (),
+        decision=None if tolerance is None else _decision(case.arm, fresh, off, tolerance, risk),
         noise_mm=noise,
         noise_most_mm=most,
         noise_stated_mm=stated,
@@ -129,28 +129,28 @@ def _judged(given: Opened, standing: tuple[str, ...], tolerance: float | None, r
 
 
 def _chances(rows: FreshRows, scaled: Array, noise: float) -> tuple[float, float, int, float]:
-    """Chance of all residuals; chi-square of the arm alone, its freedom and its chance."""
-    arm, seen = rows.toward(scaled)
-    return chance(rows.chi_square, rows.freedom, noise), arm, seen, chance(arm, seen, noise)
+    """Chance of all residuals; chi-square in the arm's directions alone, its freedom and its chance."""
+    arm, directions = rows.toward(scaled)
+    return chance(rows.chi_square, rows.freedom, noise), arm, directions, chance(arm, directions, noise)
 
 
 def _decision(arm: CalibratedArm, fresh: Fresh, off: NDArray[np.intp], tolerance: float, risk: float) -> Decision:
     """The decision by all rows; undecided where it hangs on those that are gross."""
     found = []
     for without in (None, off) if off.size else (None,):
-        seen = seen_by_rows(arm, fresh, without)
-        scatter = seen.scatter(seen.residual(fresh.x))
+        visible = visible_error(arm, fresh, without)
+        scatter = visible.scatter(visible.residual(fresh.x))
         if scatter is None:
             what = "the unknowns fitted to these rows absorb any error of the arm, so no tolerance can be tested"
             raise SamplesError(fresh.bound.block.samples.file, what, "Take more rows, or leave the tolerance out")
-        found.append(decide(scatter, seen.given_rows(), tolerance, risk))
+        found.append(decide(scatter, visible.effective_rows(), tolerance, risk))
     if found[-1].verdict == found[0].verdict:
         return found[0]
     return replace(found[0], verdict="undecided", further_rows=None, hangs_on_gross=True)
 
 
 def _lengths(values: Array, per_row: int) -> Array:
-    """Length of what each row (N,) has of some numbers (N per_row,): an error of three axes counts once."""
+    """Norm (N,) of the `per_row` values of each row, from values (N per_row,): an error of three axes counts once."""
     return np.asarray(np.linalg.norm(values.reshape(-1, per_row), axis=1))
 
 
@@ -167,7 +167,7 @@ def _faces(fresh: Fresh, sizes: list[Array], noise: float) -> tuple[FaceVerifica
 
 
 def _tips(fresh: Fresh) -> tuple[float, float]:
-    """Tip error that the calibration expects, and what it would still be had it seen these rows too, mm RMS."""
+    """Expected tip error, mm RMS: by the calibration, and by its posterior after these rows as well."""
     joints = workspace_joints(fresh.bound.problem.robot)
     tips, slopes = fresh.bound.tips(fresh.x, joints), fresh.bound.tip_jacobian(fresh.x, joints)
     field, there = without_rigid(slopes[:, fresh.known], tips), np.flatnonzero(~fresh.lost)

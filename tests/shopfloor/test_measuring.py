@@ -522,5 +522,5 @@ def test_the_evidence_of_rows_is_their_density_with_the_arm_integrated_out():
     r, slope, mean = rng.normal(size=(5, 2)), rng.normal(size=(5, 2, 4)), rng.normal(size=4)
     flat = slope.reshape(10, 4)
     dense = multivariate_normal(cov=np.eye(10) + flat @ flat.T).logpdf(r.ravel() - flat @ mean)
-    told = LinearRows(r, slope, np.ones((5, 2))).told(mean)
+    told = LinearRows(r, slope, np.ones((5, 2))).posterior(mean)
     assert told.evidence == pytest.approx(dense + 5 * math.log(2 * math.pi), rel=1e-12)

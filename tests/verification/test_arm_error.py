@@ -126,7 +126,7 @@ def test_freedom_and_noise_against_dense_matrices():
     seen = VisibleError(rows_of(rng.normal(size=(20, 3)), own, np.zeros(20), noise, stated=stated), np.arange(20))
     weight = np.diag(noise**-2)
     left = np.eye(20) - own @ np.linalg.solve(own.T @ weight @ own, own.T @ weight)
-    np.testing.assert_allclose(seen.given, np.diagonal(left @ left.T), rtol=1e-9)
+    np.testing.assert_allclose(seen.redundancy, np.diagonal(left @ left.T), rtol=1e-9)
     np.testing.assert_allclose(seen.noise, np.diagonal(left @ np.diag(stated**2) @ left.T), rtol=1e-9)
     np.testing.assert_allclose(seen.most, np.diagonal(left @ np.diag(noise**2) @ left.T), rtol=1e-9)
     # a guess beforehand is a reading: it takes part in the fit, errs as it says, and is not of the arm
@@ -134,7 +134,7 @@ def test_freedom_and_noise_against_dense_matrices():
     held = np.linalg.inv(own.T @ weight @ own + np.diag([0.02**-2, 0, 0, 0]))
     left = np.eye(20) - own @ held @ own.T @ weight
     by_guess = own @ held[:, 0] / 0.02**2 * 0.02
-    np.testing.assert_allclose(guessed.given, np.diagonal(left @ left.T), rtol=1e-9)
+    np.testing.assert_allclose(guessed.redundancy, np.diagonal(left @ left.T), rtol=1e-9)
     np.testing.assert_allclose(guessed.noise, np.diagonal(left @ np.diag(noise**2) @ left.T) + by_guess**2, rtol=1e-9)
 
 
@@ -161,7 +161,7 @@ def test_the_error_is_found_without_bias(parts):
         seen = VisibleError(rows_of(np.zeros((count, 1)), own, y, noise, parts=parts), np.arange(count))
         scatter = seen.scatter(seen.residual(np.zeros(6)))
         found.append(scatter.square - scatter.noise)
-        assert seen.given_rows() == pytest.approx(30 - 5 / parts)
+        assert seen.effective_rows() == pytest.approx(30 - 5 / parts)
     assert np.mean(found) == pytest.approx(parts * 0.03**2, rel=0.04)
     assert scatter.noise == pytest.approx(parts * 0.02**2, rel=1e-9)
 
@@ -244,7 +244,7 @@ def many_pairs(name, trials, seed, times=1.0):
         y = error[fresh] + rng.normal(size=ROWS)
         y = y - own[fresh] @ np.linalg.lstsq(own[fresh], y, rcond=None)[0]
         seen = VisibleError(rows_of(slopes[fresh], own[fresh], y, np.ones(ROWS)), np.arange(ROWS))
-        yield true, seen.scatter(seen.residual(np.zeros(slopes.shape[1] + own.shape[1]))), seen.given_rows()
+        yield true, seen.scatter(seen.residual(np.zeros(slopes.shape[1] + own.shape[1]))), seen.effective_rows()
 
 
 @pytest.mark.long
@@ -258,8 +258,8 @@ def test_of_a_thousand_pairs_few_are_decided_on_wrongly(name, times):
     allowed to be 6.5 %, not 5 %, before chance.
     """
     trials, accepted, rejected, covered = 400, 0, 0, 0
-    for true, scatter, given in many_pairs(name, trials, 7, times):
-        verdict = decide(scatter, given, true, RISK).verdict
+    for true, scatter, rows in many_pairs(name, trials, 7, times):
+        verdict = decide(scatter, rows, true, RISK).verdict
         accepted, rejected = accepted + (verdict == "accept"), rejected + (verdict == "reject")
         covered += scatter.lower_mm(0.025) <= true <= scatter.upper_mm(0.025)
     assert max(accepted, rejected) <= binom.ppf(1 - 1e-6, trials, 0.065)
@@ -269,8 +269,8 @@ def test_of_a_thousand_pairs_few_are_decided_on_wrongly(name, times):
 def test_wider_tolerances_are_accepted_and_narrower_ones_rejected():
     """A rule that never decides would pass the test above."""
     wide, narrow, trials = 0, 0, 150
-    for true, scatter, given in many_pairs("ur5", trials, 8, 4.0):
-        wide += decide(scatter, given, 2.5 * true, RISK).verdict == "accept"
-        narrow += decide(scatter, given, true / 2.5, RISK).verdict == "reject"
+    for true, scatter, rows in many_pairs("ur5", trials, 8, 4.0):
+        wide += decide(scatter, rows, 2.5 * true, RISK).verdict == "accept"
+        narrow += decide(scatter, rows, true / 2.5, RISK).verdict == "reject"
     assert wide > 0.8 * trials
     assert narrow > 0.8 * trials
