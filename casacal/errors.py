@@ -62,7 +62,7 @@ class ProblemError(CasacalError):
 
 
 class SimulationError(CasacalError):
-    """A cell in which the robot cannot touch the faces as asked."""
+    """A cell whose faces the robot cannot touch as requested."""
 
 
 class RefusedResultError(CasacalError):

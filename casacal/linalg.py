@@ -165,8 +165,8 @@ def determined(data_information: Array, prior_rows: Array) -> float:
     scale = unit_scale(np.diagonal(information))
     values, vectors = np.linalg.eigh(scale[:, None] * information * scale)
     held = values > ROUNDING * len(values)
-    seen = (prior_rows * scale) @ vectors[:, held]
-    return float(held.sum() - np.clip((seen**2 / values[held]).sum(axis=1), 0.0, 1.0).sum())
+    along = (prior_rows * scale) @ vectors[:, held]
+    return float(held.sum() - np.clip((along**2 / values[held]).sum(axis=1), 0.0, 1.0).sum())
 
 
 def inverse_triangle(root: Array) -> Array:

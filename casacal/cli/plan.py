@@ -180,7 +180,7 @@ def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clea
     with ExitStack() as sets:  # the folder of the plan is entered first, so that its files are placed last
         for folder in dict.fromkeys(path.parent.resolve() for path in texts):
             some = [path for path in texts if path.parent.resolve() == folder]
-            place = sets.enter_context(together(folder, [path.name for path in reversed(some)], asked=some[0]))
+            place = sets.enter_context(together(folder, [path.name for path in reversed(some)], named=some[0]))
             for path in some:
                 write_text(place / path.name, texts[path])
     return [path.as_posix() for path in texts]
