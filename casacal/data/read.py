@@ -168,13 +168,13 @@ def pieces(path: Path) -> Iterator[bytes]:
 
 
 WORKBOOKS = (".xlsx", ".xlsm")
-MOST_ROWS = 1 << 20  # of a sheet, whatever its file says
+MOST_ROWS = 1 << 20  # rows of a sheet, whatever its file says
 MOST_TAGS = 1_600_000
 """In all parts of a workbook, four of them a cell; what is larger takes minutes and gigabytes to read."""
-MOST_OTHER_TAGS = 100_000  # of styles and the like, which take the library longest
+MOST_OTHER_TAGS = 100_000  # tags of styles and the like, which take the library longest
 CELL_TAG = re.compile(rb"</?(?:\w+:)?(?:row|c|v|f|is|si|t)[\s/>]")
 MOST_PLACES = 20_000_000
-"""Of a sheet, most of them empty: one cell that was coloured far to the right makes a row of 16,384."""
+"""Largest number of cells of a sheet, empty ones included: one coloured far to the right makes a row of 16,384."""
 ERRORS = ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A")
 """Error values of spreadsheets; these are no comments."""
 
