@@ -1,4 +1,4 @@
-"""What every back end does with rows, and rows as it reads them, column by column."""
+"""Interface of the back ends that evaluate rows, and rows packed column by column as they read them."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class Piece:
     columns: Index
     """Where z stands in x."""
     constants: Array
-    """What follows z in p."""
+    """Constants, which follow z in p."""
 
     @property
     def size(self) -> int:
