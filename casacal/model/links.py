@@ -89,7 +89,7 @@ class Links:
         return ca.Function("levers", [q], [by_model(q if self.conventions is None else self.conventions.to_model(q))])
 
     def to_controller(self, off: Expression) -> Expression:
-        """Small motions of the controller's joints (n,) that are these of the model's."""
+        """Small motions (n,) of the controller's joints that equal small motions of the model's."""
         return off if self.conventions is None else ca.mtimes(ca.DM(np.linalg.inv(self.conventions.matrix)), off)
 
 

@@ -40,9 +40,9 @@ class Problem(Value):
     robot: Robot
     instruments: tuple[Instrument, ...]
     terms: tuple[Term, ...]
-    """What rows may show beside the geometry."""
+    """Non-geometric terms that rows may show."""
     names: tuple[str, ...]
-    """Of the instruments."""
+    """Names of the instruments."""
     shared: Shared
     """Keys of unknowns that some instruments have in common, and the names of these."""
 

@@ -47,7 +47,7 @@ class Survey:
     """Where the fitted rows lie, and when they were measured."""
 
     faces: Mapping[str, FaceFrame]
-    """By label; of those that were touched three times or more."""
+    """Frames of the faces touched three times or more, by label."""
     lines: tuple[int, ...]
     """Lines of the rows in order, or of some, evenly over all: when a row was is a matter of rows, not of lines."""
     samples: Samples
@@ -55,7 +55,7 @@ class Survey:
 
     @staticmethod
     def of(samples: Samples, tips: Array, label: str | None) -> Survey:
-        """Of samples with nominal tips (N, 3; mm), on faces that a column names."""
+        """Survey of samples with nominal tips (N, 3; mm), on faces that the column `label` names."""
         faces = {
             name: FaceFrame.of(tips[rows]) for name, rows in samples.faces(label).rows().items() if len(rows) >= FEWEST
         }
@@ -91,12 +91,12 @@ class SurveyedRows:
     tips: Array
     """Nominal tips (N, 3; mm)."""
     survey: Survey
-    """Of the rows that are fitted, these or others."""
+    """Survey of the rows that are fitted, these or others."""
 
 
 @dataclass(frozen=True)
 class Site:
-    """Where a term stands: at one robot with one instrument."""
+    """The robot and instrument for which a term is evaluated."""
 
     robot: Robot
     instrument: Instrument
@@ -160,19 +160,19 @@ class Term(Portable, ABC):
         return ()
 
     def values(self, site: Site, rows: SurveyedRows) -> Mapping[str, Array]:
-        """Those columns (N,) of some rows."""
+        """Values (N,) of `columns` for some rows."""
         return self.told(site, rows.samples)
 
     @property
     def further(self) -> tuple[str, ...]:
-        """Columns of a file that say the first of its `columns`, in their order; the others are then zero.
+        """Columns of a file that give the first of `columns`, in their order; the others are then zero.
 
-        Where rows have them, whoever predicts can take it in; none where nobody but the fitted rows can tell.
+        Rows that have them can be predicted with the term; none where only the fitted rows determine it.
         """
         return ()
 
     def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
-        """Its columns (N,) as any rows say that have those of `further`; ProblemError where they hold none."""
+        """Values (N,) of `columns`, from the columns `further` of any rows; ProblemError where those are invalid."""
         del site, samples
         return {}
 
