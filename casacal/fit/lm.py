@@ -51,14 +51,14 @@ class Damping:
 
     mu: float
     growth: float = 2.0
-    """What the next rejected step multiplies mu by: Nielsen's nu."""
+    """Factor of mu at the next rejected step: Nielsen's nu."""
 
     def accepted(self, ratio: float) -> Damping:
         """After a step with this gain ratio: a third where the model was right, up to double where it was not."""
         return Damping(self.mu * max(FASTEST_DECREASE, 1 - (2 * ratio - 1) ** 3))
 
     def rejected(self) -> Damping:
-        """After a step that was not taken: more, and more each time."""
+        """After a rejected step: mu grows by `growth`, which doubles each time."""
         return Damping(self.mu * self.growth, self.growth * 2)
 
     @property

@@ -16,8 +16,8 @@ import numpy as np
 from casacal.data.samples import Samples
 from casacal.effects.selection import MANY
 from casacal.errors import CasacalError
+from casacal.fit.arm_alone import ArmProblem, arm_alone
 from casacal.fit.bound_problem import OTHERS, BoundProblem, by_face, times
-from casacal.fit.seen import Seen, seen
 from casacal.fit.slots import Slot, make_slots
 from casacal.linalg import posterior_covariance
 from casacal.model.problem import Problem
@@ -85,7 +85,7 @@ def cures(bound: BoundProblem, x: Array, *, stays: float = 0.0) -> tuple[Cure, .
     """
     if not (x.size and np.isfinite(x).all()):
         return ()
-    arm, at = seen(bound, x)
+    arm, at = arm_alone(bound, x)
     told, field = arm.information(at), _field(arm, at)
 
     def judged(information: Array, prior: Array) -> tuple[float, Array]:
@@ -109,7 +109,7 @@ def cures(bound: BoundProblem, x: Array, *, stays: float = 0.0) -> tuple[Cure, .
     return tuple(sorted(made, key=lambda cure: cure.expected_rms_mm))
 
 
-def cure_for(bound: Seen, now: Array, found: Sequence[Cure], direction: NullDirection | WeakDirection) -> str:
+def cure_for(bound: ArmProblem, now: Array, found: Sequence[Cure], direction: NullDirection | WeakDirection) -> str:
     """Cure for an uncertain direction, in words: the best that settles it, else the one that helps most.
 
     bound: the problem whose direction it is. now: covariance of its unknowns (s, s). found: from `cures`, best first.
@@ -132,7 +132,7 @@ def cure_for(bound: Seen, now: Array, found: Sequence[Cure], direction: NullDire
 
 def outcomes(bound: BoundProblem, x: Array) -> Iterator[CureOutcome]:
     """Expected accuracy after each cure at x (n,); the first unknowns are those that the samples share."""
-    arm, at = seen(bound, x)
+    arm, at = arm_alone(bound, x)
     told = arm.information(at)
     few = bound.unknowns <= MANY  # to choose among touches takes the cube of their number for each
     try:
@@ -150,7 +150,7 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[CureOutcome]:
         yield CureOutcome("tool", words, 0, told, prior)
     if len(bound.samples) > 1:
         for i, name in enumerate(bound.problem.names):  # as much as its rows tell of the shared unknowns now
-            without, there = seen(bound.take(np.flatnonzero(bound.measured.instruments != i)), x)
+            without, there = arm_alone(bound.take(np.flatnonzero(bound.measured.instruments != i)), x)
             more = EXTRA_TOUCHES / max(len(bound.samples[i]), 1)
             information = told + more * (told - without.information(there))
             words = f"{EXTRA_TOUCHES} more samples of the {name}"
@@ -222,7 +222,7 @@ def _with_rows(
     return BoundProblem(problem, tuple(slots), (rows,), "blocks", scale=scale), stand, information
 
 
-def _field(arm: Seen, at: Array) -> Array:
+def _field(arm: ArmProblem, at: Array) -> Array:
     """Slopes of the tip over the workspace, apart from the position of the base (3M, s)."""
     joints = workspace_joints(arm.problem.robot)
     return without_rigid(arm.tip_jacobian(at, joints), arm.tips(at, joints))

@@ -24,9 +24,9 @@ from casacal.data.columns import Labels
 from casacal.data.holdout import REGIONS, splits
 from casacal.data.samples import Samples
 from casacal.errors import CasacalError, UnknownNameError, refuse_unknown
+from casacal.fit.arm_alone import bind_further, extended
 from casacal.fit.bound_problem import BoundProblem, bind
 from casacal.fit.least_squares import Result, Status
-from casacal.fit.seen import bind_further, extended
 from casacal.model.problem import Problem
 from casacal.model.problem_file import load_problem
 from casacal.study.description import Method, Run, Study
