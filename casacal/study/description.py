@@ -1,4 +1,4 @@
-"""What a study is, settings, methods, trials and a seed, its records, and the key of what determines it."""
+"""A study (settings, methods, trials, a seed), its records, and the fingerprint by which each record is keyed."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def _described(value: Any, within: tuple[int, ...]) -> Any:
 
 
 def _state(value: Any) -> Any:
-    """Fields of a dataclass, attributes of any other object; what has none counts by its text."""
+    """Fields of a dataclass, or attributes of another object; the text of one that has neither."""
     if dataclasses.is_dataclass(value):
         return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
     return vars(value) if hasattr(value, "__dict__") else str(value)
@@ -128,8 +128,8 @@ def _ours(module: str | None) -> bool:
 
 def _code(code: CodeType) -> Any:
     # neither file nor line numbers: moving a function does not change what it computes
-    told = {first for first in code.co_consts[:1] if isinstance(first, str)}  # the docstring
-    constants = [_code(c) if isinstance(c, CodeType) else repr(c) for c in code.co_consts if c not in told]
+    docstring = {first for first in code.co_consts[:1] if isinstance(first, str)}  # none where there is none
+    constants = [_code(c) if isinstance(c, CodeType) else repr(c) for c in code.co_consts if c not in docstring]
     return [_digest(code.co_code), list(code.co_names), constants]
 
 
@@ -265,7 +265,7 @@ class Appender:
 
 
 def merged(parts: Sequence[Iterable[Record]]) -> list[Record]:
-    """All records of several runs, each key once; what a time limit ended gives way to what had more time.
+    """All records of several runs, each key once; of two, the one whose method had more time.
 
     Raises StudyError when two records of one key differ in more than their timings.
     """
