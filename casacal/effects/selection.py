@@ -45,7 +45,7 @@ VERY_STRONG = 5.0
 American Statistical Association 90, 1995, section 3.2: 2 ln B above 10)."""
 UNLIKELY = 0.01 / 2
 """Chance below which an error of the dial is taken to be there: one in a hundred, for the two that are tested."""
-FLAT = 1e-3  # slope of a residual by its reading below which that reading tells nothing
+FLAT = 1e-3  # slope of a residual by its reading below which the reading does not count
 STEP = 0.5  # millimetres by which readings are shifted for their slope: a distance from a plane is linear in them
 UNSEEN = 1e-9  # part of the squared length of a column that a fit must leave of it for it to be seen at all
 
@@ -105,7 +105,7 @@ class _Linear:
 
     @staticmethod
     def of(bound: BoundProblem, problem: Problem, geometry: Array) -> _Linear:
-        """Of the geometry alone, which stands at x (n,)."""
+        """Linearised rows where the geometry alone stands at `geometry` (n,)."""
         whole = bound.under(problem)
         x = whole.x0.copy()
         x[[j for j, key in enumerate(whole.beside) if not key]] = geometry
@@ -115,9 +115,9 @@ class _Linear:
         return _Linear(x, tuple((way, normal_equations(way, x)) for way in ways))
 
     def sized(self, least: float | None) -> BoundProblem:
-        """Sizes and noise as found, the noise at least a part of what was stated; None holds it.
+        """Rows with sizes and noise as found, the noise at least the part `least` of the stated; None holds it.
 
-        What joints do not repeat comes on top of what was stated; where that is not the least, nobody can say.
+        Joint repeatability comes on top of the stated noise; it is not sought unless `least` is one.
         """
         best = self.best(least)
         faces = len(by_face(best.rows.scale))
@@ -135,7 +135,7 @@ class _Linear:
         return found.rows if found.evidence + beforehand(found.rows) - against > best.evidence else best.rows
 
     def best(self, least: float | None) -> _Found:
-        """The likeliest of the ways, before what joints do not repeat is told from the noise."""
+        """The likeliest of the ways, before joint repeatability is separated from the noise."""
         ways = self.ways if least is not None else self.ways[:1]
         return max((self._likeliest(*way, least) for way in ways), key=lambda found: found.evidence)
 
@@ -147,7 +147,7 @@ class _Linear:
         *,
         start: Mapping[str, float] | None = None,
     ) -> _Found:
-        """At the sizes and the noise that make the rows likeliest."""
+        """The rows at the sizes and the noise that make them likeliest."""
         sizes = self._sizes(whole, normal, least, start=start)
         rows = whole.with_sizes(sizes.times, noise=times(whole.scale, sizes.noise) if sizes.noise != 1 else None)
         return _Found(sizes.evidence, rows, sizes.times, normal.with_noise(sizes.noise))
@@ -173,7 +173,7 @@ class _Linear:
 
 @dataclass(frozen=True)
 class _Found:
-    """The rows at some sizes and noise, and the logarithm of how likely they are so."""
+    """Rows with sizes and noise as found, and the logarithm of their likelihood."""
 
     evidence: float
     rows: BoundProblem
@@ -182,7 +182,7 @@ class _Found:
 
 
 def times_found(whole: BoundProblem) -> dict[str, float]:
-    """Times by which each effect came out larger than it was expected to be, by key."""
+    """Size of each effect as found over its expected size, by key."""
     problem, found = whole.problem, {}
     for effect in effects_of(problem):
         slot = next((slot for slot in whole.slots if slot.term == effect.key), None)
@@ -458,7 +458,7 @@ def gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[str, dict[
 
 
 def _densities(parts: list[NormalEquations], prior: Array) -> float:
-    """Sum over some parts of the logarithm of each one's density given the others, but for a constant."""
+    """Sum over parts of the log density of each given the others, up to a constant."""
     whole, total = evidence(sum(parts[1:], parts[0]), prior), 0.0
     for k in range(len(parts)):
         others = [part for j, part in enumerate(parts) if j != k]
@@ -474,6 +474,6 @@ def _densities(parts: list[NormalEquations], prior: Array) -> float:
 
 
 def _without(bound: BoundProblem, prior: Array, key: str) -> Array:
-    """A prior's information (n, n) with an effect gone."""
+    """Information (n, n) of the prior with an effect's unknowns held at zero."""
     gone = np.array(bound.beside) == key
     return np.asarray(prior + np.diag(np.where(gone, GONE * np.diagonal(prior), 0.0)))
