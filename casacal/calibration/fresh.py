@@ -22,8 +22,8 @@ from casacal.deployment.arm import (
     CalibratedArm,
     TellingColumns,
     all_motion,
+    for_instrument,
     named_covariance,
-    seen_by,
     with_effects,
 )
 from casacal.errors import CasacalError, ProblemError, SamplesError, UnknownNameError
@@ -536,7 +536,7 @@ def opened(
     if isinstance(standing, str):
         raise CasacalError(f"Got the text '{standing}' as the list of what has not moved", f"Give ['{standing}']")
     found = arm_from(result, "the result")
-    arm = seen_by(found, instrument if problem is not None else measured_by(found, samples, instrument))
+    arm = for_instrument(found, instrument if problem is not None else measured_by(found, samples, instrument))
     source, robot = arm.source, arm.source.problem.robot
     if problem is not None:  # the result's arm with another problem's instrument
         other = problem_from(problem).problem

@@ -176,7 +176,7 @@ def _origins(arm: DHTable | UrdfChain, p: Any, conventions: Conventions) -> tupl
 
 
 def _is_built_like_one(origins: list[Array]) -> bool:
-    """Whether the drawn axes are a UR's: 2, 3 and 4 parallel, the others at right angles."""
+    """Whether the drawn axes are those of a UR: 2, 3 and 4 parallel, the others at right angles."""
     crossed = np.array([abs(origin[2, 2]) for origin in origins[1:]])  # cosines between each axis and the next
     return bool((np.abs(np.arccos(np.minimum(crossed, 1.0)) - np.arccos([0, 1, 1, 0, 0])) <= NEARLY).all())
 
