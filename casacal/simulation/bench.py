@@ -1,4 +1,4 @@
-"""A true instrument before a true arm, wherever it stands: what its rows leave, and how that changes."""
+"""A true instrument in front of a true arm: residuals of its rows, and their slopes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Bench:
 
     @property
     def read(self) -> int:
-        """How many columns are read."""
+        """Number of columns that are read."""
         return len(self.problem.instrument.columns)
 
     def before_reading(self, joints: Array) -> Array:
@@ -86,10 +86,10 @@ def bench_of(
     z, c = [np.zeros((samples, 0))], [np.zeros((samples, 0))]
     for key, unknown in problem.symbols.unknowns.items():
         of_rows: Sequence[str | None] = [None] * samples if unknown.per is None else labels[unknown.per]
-        seen: Sequence[str | None] = [None]
+        instances: Sequence[str | None] = [None]
         if unknown.per is not None:  # a label stands for the same thing in whatever order rows name them
-            seen = tuple(dict.fromkeys((*label_names(problem, cell, unknown.per), *labels[unknown.per].names)))
-        named = {_named(instrument, key, label): label or key for label in seen}
+            instances = tuple(dict.fromkeys((*label_names(problem, cell, unknown.per), *labels[unknown.per].names)))
+        named = {_named(instrument, key, label): label or key for label in instances}
         for k, (name, label) in enumerate(named.items()):
             place = stands(cell, label, spot(reached, None if _is_flat(unknown) else k))
             stands_at = instrument.stands(key, *place) if unknown.nominal is None else unknown.nominal
@@ -196,7 +196,7 @@ def _starts(bench: Bench, target: Array, rows: Index, rng: np.random.Generator) 
 
 
 def _met(bench: Bench, start: Array, target: Array, rows: Index, *, held: bool = False) -> tuple[Array, Rows]:
-    """Where Gauss-Newton's smallest steps lead from the starts, and which rows arrive; joints may be held."""
+    """End points of minimum-norm Gauss-Newton steps from the starts, and which rows arrive; joints may be held."""
     free = start.copy()
     n = len(bench.problem.robot.axes)
     unit = np.where(bench.problem.robot.revolute, 1.0, 1.0 / SLOW)
