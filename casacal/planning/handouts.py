@@ -199,7 +199,7 @@ PROGRAMS: Mapping[str, RobotProgram] = FrozenMapping(
         ),
     }
 )
-"""By the name that people ask for."""
+"""Languages by name."""
 
 
 def program_text(problem: Problem, route: Route, ways: Approaches, language: str, name: str) -> str:

@@ -298,7 +298,7 @@ FLAT = 0.93  # error over that of fewer touches above which more bring little
 ENDS = 0.7  # error of all candidates over that of a number, below which a flat part is not the end of the curve
 
 
-def told(
+def plan_sentences(
     plan: Plan,
     compared: Sequence[SetUp],
     *,

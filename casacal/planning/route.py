@@ -19,9 +19,9 @@ from casacal.values import Array, Index, Value
 
 FIT, AGAIN, CHECK = "fit", "again", "check"
 PURPOSES = (FIT, AGAIN, CHECK)
-"""What a touch is for: to be fitted; to be made a second time at the end; never to be fitted, but judged."""
+"""Purposes of a touch: to be fitted; to be repeated at the end and fitted; to be kept for verification."""
 
-EXPECTED = "expected_"  # what the names of readings begin with that nobody has made yet
+EXPECTED = "expected_"  # prefix of readings that are expected and not yet made
 
 
 @dataclass(frozen=True, eq=False)
