@@ -241,7 +241,7 @@ def _finish(folder: Path) -> None:
             sound = bool(rows) and all(Path(name).name == name for name, _ in rows)
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             sound = False
-        if not sound:  # of somebody else
+        if not sound:  # somebody else's folder
             continue
         ends = {name: Path(os.path.realpath(folder / name)) for name, _ in rows}
         for target in ends.values():

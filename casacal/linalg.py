@@ -157,7 +157,7 @@ def posterior_covariance(data_information: Array, prior: Array) -> Array:
 
 
 def determined(data_information: Array, prior_rows: Array) -> float:
-    """How many unknowns the data determined: the trace of J (J'J + W'W)^-1 J', to a few where priors are flat.
+    """Number of unknowns that the data determined: the trace of J (J'J + W'W)^-1 J', flat priors allowed.
 
     It is the rank of J'J + W'W less what the rows W (k, n) of the prior hold, each of them at most one.
     """

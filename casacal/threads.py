@@ -1,4 +1,4 @@
-"""How many threads share the work: rows are worth it in thousands, the matrices of an arm never."""
+"""Number of threads for rows and for linear algebra: thousands of rows are worth several, an arm's matrices one."""
 
 from __future__ import annotations
 

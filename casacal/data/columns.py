@@ -37,7 +37,7 @@ class Labels(Sequence[str]):
 
     @staticmethod
     def of(values: Iterable[str]) -> Labels:
-        """From one str per row."""
+        """Labels from one str per row."""
         if isinstance(values, Labels):
             return values
         places: dict[str, int] = {}
@@ -51,7 +51,7 @@ class Labels(Sequence[str]):
 
     @staticmethod
     def coded(names: Iterable[str], codes: NDArray[Any]) -> Labels:
-        """From names as they were written, blanks around them taken off, and the number of one of them a row."""
+        """Labels from names, stripped of blanks, and the index of each row's name among them."""
         stripped = [str(name).strip() for name in names]
         places = {name: k for k, name in enumerate(dict.fromkeys(stripped))}
         return Labels(tuple(places), np.array([places[name] for name in stripped], dtype=np.int32)[codes])

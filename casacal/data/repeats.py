@@ -71,7 +71,7 @@ def without_copies(samples: Samples) -> Samples:
 
 
 def _keys(count: int, columns: Iterable[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """One number for each row (N,), by which a million sort at once; two rows share one by a chance of 1e-7."""
+    """Hash of each row (N,), for fast sorting; the chance that two different rows share one is 1e-7."""
     keys = np.zeros(count, dtype=np.int64)
     with np.errstate(over="ignore"):
         for column in columns:

@@ -343,7 +343,7 @@ def joined(first: Samples, second: Samples) -> Samples:
 
 
 WRITTEN = FrozenMapping({"angle": ("_deg", 180 / math.pi, 7), "length": ("_mm", 1.0, 4), "number": ("", 1.0, 9)})
-"""How a quantity is written: the end of its column's name, the factor from rad or mm, and decimals."""
+"""Format of a written quantity: suffix of its column's name, factor from rad or mm, and decimals."""
 JOINT_DECIMALS = 7
 
 

@@ -32,9 +32,7 @@ NumberedRows = list[tuple[int, list[str]]]
 LINE_END = re.compile(r"\r\n|\n|\r")
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0e-\x1f]")
-UNSHOWN = re.compile(
-    r"[\x00-\x08\x0a-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]"
-)  # letters that would break up a sentence
+UNSHOWN = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")  # would break up a sentence
 
 
 def decode(data: bytes, file: str) -> str:

@@ -25,7 +25,7 @@ from casacal.values import Array, FrozenMapping, Value
 from casacal.wording import listed
 
 TRUTH = "this is the true arm of a simulation, not a calibration"
-FRAMES = ("flange", "tip")  # what a pose may be of: `robot.pose`, or where the instrument touches
+FRAMES = ("flange", "tip")  # frame of a pose: `robot.pose`, or where the instrument touches
 
 
 @dataclass(frozen=True, eq=False)

@@ -169,7 +169,7 @@ class Outcome(Enum):
 
 @dataclass(frozen=True)
 class Rounding:
-    """How joint values are written: in degrees (else radians; sliding joints in mm), with so many decimals."""
+    """Format of written joint values: in degrees (else radians; sliding joints in mm), with a number of decimals."""
 
     degrees: bool = True
     decimals: int = 7

@@ -273,13 +273,13 @@ def _numbers(values: tuple[float, ...]) -> bytes:
 
 
 def _tag_end(data: bytes, start: int) -> int:
-    """Where the start tag that begins at `start` ends; quotes may hold a >."""
+    """End of the start tag that begins at `start`; quotes may hold a >."""
     found = re.compile(rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>""").match(data, start)
     return found.end() if found else len(data)
 
 
 def _places(data: bytes) -> tuple[dict[str, int], dict[str, int]]:
-    """Where the joints of a URDF, and where their origins begin, in bytes."""
+    """Positions, in bytes, of the joints of a URDF and of their origins."""
     joints, origins, path = dict[str, int](), dict[str, int](), list[tuple[str, str]]()
     parser = expat.ParserCreate()
 

@@ -84,7 +84,7 @@ def tip_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fals
     q = ca.SX.sym("q", len(arm.source.problem.robot.axes))
     problem = arm.source.problem.without_terms if nominal else arm.used
     inputs = {"q": q} if nominal else inputs_of(arm, q)
-    d = ca.vertcat(q, ca.DM.zeros(len(problem.symbols.columns))) if nominal else _row(arm, problem, **inputs)
+    d = ca.vertcat(q, ca.DM.zeros(len(problem.symbols.columns))) if nominal else _row(arm, problem, *inputs.values())
     z = local_coordinates(arm, nominal=nominal, of=problem)
     tip = problem.symbols.functions["tip"](z, ca.DM(row_constants(arm, problem)), d)
     return row_function(f"tip{said}", [*inputs.values()], [tip], [*inputs])

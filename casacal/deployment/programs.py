@@ -102,7 +102,7 @@ CSV = "csv"
 
 
 def rounding_of(form: str, robot: Robot) -> Rounding:
-    """How a form writes joint values; raises CasacalError for a robot whose joints its language does not hold."""
+    """Rounding of joint values in a form; raises CasacalError for a robot whose joints its language does not hold."""
     refuse_unknown("form of targets", [form], (CSV, *LANGUAGES))
     if form == CSV:
         return Rounding()

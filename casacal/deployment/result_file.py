@@ -187,7 +187,7 @@ def _digest(document: Mapping[str, Any], keys: Sequence[str]) -> str:
     return hashlib.sha256(json.dumps(guarded, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
-SCHEMA = 2  # of the files that this version writes. Those without a number are older: they need their problem.py
+SCHEMA = 2  # version of the files written now. Those without a number are older: they need their problem.py
 LARGEST_SOURCE = 100_000_000  # bytes beyond which a file is none that an arm was made from
 
 

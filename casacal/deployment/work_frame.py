@@ -30,7 +30,7 @@ from casacal.values import Array, Value
 SKEW = math.sin(math.radians(5.0))
 """Sine of the angle below which faces are parallel, or points on a line, and fix no frame."""
 
-STEP = 1e-6  # of a tilt (rad) or an offset (mm), for slopes
+STEP = 1e-6  # step of a tilt (rad) or an offset (mm), for slopes
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +185,7 @@ def _of_points(points: Array) -> Array:
 
 
 def _base(result: CalibratedArm, origin: Array, count: int) -> Array:
-    """Less the base's shift (3, mm) at the origin and turn (3, rad) with each unknown of the result: (6, count)."""
+    """Minus the derivative (6, count) of the base's shift at the origin (mm) and turn (rad) by each unknown."""
     # the base's move is the rigid motion that fits those of the tips over the workspace best
     problem = result.source.problem.without_terms
     model, joints = problem.model, workspace_joints(problem.robot)

@@ -20,7 +20,7 @@ from casacal.wording import listed
 
 
 class Effect(Term, ABC):
-    """Something small that arm or cell do and that no link length, twist or offset describes.
+    """A small error of arm or cell that no link length, twist or offset describes.
 
     Its unknowns are zero on average; how far they are from it is their size: what one would expect of such an arm, to
     be corrected by what the samples show. Beside what a `Term` has, it says `size` and `doubt`.

@@ -417,7 +417,7 @@ GONE = 1e12  # times a prior's information by which an effect is taken away
 
 
 def in_sample_gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[str, float]:
-    """By how much the logarithm of the rows' likelihood is larger with each effect than without it, at its size.
+    """Gain in the log-likelihood of the rows by each effect at its size.
 
     That is what the whole adds up to, row by row; an effect that gains little there gains nothing elsewhere.
 
@@ -433,7 +433,7 @@ def in_sample_gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[
 
 
 def gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[str, dict[str, float]]:
-    """By how much the logarithm of the density of unseen rows is larger with each effect, by key and by split.
+    """Gain in the log density of unseen rows by each effect, by key and by split.
 
     Arguments as for `in_sample_gains`; of very many rows some stand for all. Returns no split where there is no face
     beside another, and no region that could be left out.

@@ -166,7 +166,7 @@ SOON = 5.0  # time constants of early growth in one session
 
 
 JITTER = 1e-9  # added to a covariance of one, so that rows at one place can both be pivots
-MOST_UNKNOWNS = 150  # of all components of a residual together; the time that a fit takes grows with their cube
+MOST_UNKNOWNS = 150  # over all components of a residual; the time that a fit takes grows with their cube
 ENOUGH = 1e-3  # variance of a row, of one, below which it tells nothing that others have not told
 
 
@@ -191,7 +191,7 @@ class JointField(Effect):
     rank: int = 24
 
     moves = False
-    most = 1e3  # what else errs has no physical size
+    most = 1e3  # an error of unknown origin has no physical size
     key = "field"
     words = "posture-dependent error"
 

@@ -196,7 +196,7 @@ class BoundProblem(LeastSquares):
         return self.on(*self.measured.take(rows).sets)
 
     def thinned(self, most: int) -> BoundProblem:
-        """Itself, or so many of its samples, evenly spread."""
+        """The problem itself, or with at most `most` of its samples, evenly spread."""
         count = len(self.measured)
         return self if count <= most else self.take(np.unique(np.linspace(0, count - 1, most).astype(int)))
 
@@ -321,7 +321,7 @@ class BoundProblem(LeastSquares):
 
     @cached_property
     def components(self) -> Index:
-        """How many residuals each sample has (N,)."""
+        """Number of residuals of each sample (N,)."""
         return np.concatenate([np.full(len(block.noise), block.noise.shape[1]) for block in self.blocks])
 
     @cached_property

@@ -269,7 +269,7 @@ def _program(
 
 
 def _pattern(objective: Objective) -> ca.Sparsity:
-    """Where the Hessian's upper triangle is not zero."""
+    """Sparsity of the Hessian's upper triangle."""
     n = objective.start.size
     starts = np.searchsorted(objective.columns, np.arange(n + 1))
     return ca.Sparsity(n, n, starts.tolist(), objective.rows.tolist())

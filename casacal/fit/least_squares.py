@@ -343,7 +343,7 @@ class Conditioned(LeastSquares):
         if not self.out.size:
             return rows[:, self.free]
         prior = self.whole.prior_rows
-        held = prior[np.any(prior[:, self.out] != 0, axis=1)]  # what holds the others besides the rows
+        held = prior[np.any(prior[:, self.out] != 0, axis=1)]  # priors of the unknowns that are taken out
         own = np.linalg.lstsq(held[:, self.out], held[:, self.free], rcond=None)[0] if len(held) else 0.0
         left = np.vstack([rows[:, self.free] - rows[:, self.out] @ own, np.zeros((len(held), self.free.size))])
         return freed_of(left, np.vstack([rows[:, self.out], held[:, self.out]]))

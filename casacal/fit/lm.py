@@ -47,7 +47,7 @@ STUCK_DAMPING = 1e50  # damping beyond which there is nothing left to try
 
 @dataclass(frozen=True)
 class Damping:
-    """How to damp: mu, the constant lambda of eqs (25)-(29), here led by the gain ratio (E13; Nielsen 1999)."""
+    """Damping mu, the constant lambda of eqs (25)-(29), here led by the gain ratio (E13; Nielsen 1999)."""
 
     mu: float
     growth: float = 2.0
@@ -117,7 +117,7 @@ class Shortest(NamedTuple):
 
     @property
     def last(self) -> Point | None:
-        """Where it began, once it is clear that rounding lets none be shorter."""
+        """Start of the shortest step, once `PATIENCE` steps show that rounding lets none be shorter."""
         return self.at if self.since >= PATIENCE else None
 
 
@@ -134,7 +134,7 @@ def acceptable(move: Move, there: Point, ratio: float) -> bool:
 
 
 def given_up(move: Move, here: Point, shortest: Shortest) -> Status | None:
-    """How a rejected step ends the search: no damping is left to try once its fall is below the last digit of f."""
+    """Status if a rejected step ends the search: its predicted fall is below the last digit of f; None otherwise."""
     if move.step.predicted > sys.float_info.epsilon * here.cost:
         return None
     return Status.PRECISION if shortest.length <= NEAR else Status.STUCK

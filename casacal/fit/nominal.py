@@ -204,7 +204,7 @@ def sought(problem: Problem, i: int, samples: Samples, places: Sequence[Place]) 
         if place.unknown.size and not of_rows[:, u_at[place.name]].any():
             what = f"No row depends on '{place.name}' of {name}, which has no nominal value"
             raise ProblemError(what, "Give it one, or leave it out")
-    # what rows hardly see would be moved far by what they miss, the drawn arm's errors
+    # directions that rows hardly see would be moved far by errors of the drawn arm
     units = np.array([unit for place in wanted for unit in place.unknown.units])
     reach = np.where(units == "mm", FAR * _extent(sight.tips), np.where(units == "rad", FAR, np.inf))
     missed = float(np.sqrt(np.mean(found.fun[: -found.x.size] ** 2)))
@@ -241,7 +241,7 @@ def _best_of_many(
 
 
 def _extent(tips: Array) -> float:
-    """How far apart the tips (N, 3; mm) are, or how far they might be where they are all at one place."""
+    """Extent of the tips (N, 3; mm), at least `SMALLEST`."""
     return max(float(np.ptp(tips, axis=0).max()), SMALLEST)
 
 

@@ -1,4 +1,4 @@
-"""Where each unknown is in x, what each row sees of it, and whether rows suffice: settled when samples are bound."""
+"""Layout of x: the place of each unknown, its nominal, and whether rows suffice; settled when samples are bound."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ ENOUGH = 20_000  # rows of a face that propose where it is
 
 @dataclass(frozen=True, eq=False)
 class Slot(Value):
-    """One instance of an unknown, and where its local coordinates stand in x."""
+    """One instance of an unknown, and the place of its local coordinates in x."""
 
     key: str
     unknown: Unknown

@@ -45,13 +45,13 @@ class RowKind:
     unknowns: tuple[str, ...]
     """Names of what they see, in the order of the problem's symbols: "alpha", ..., "plane.floor"."""
     columns: Index
-    """Where z stands in x (nz,)."""
+    """Positions of z in x (nz,)."""
     constants: Array
     """c (nc,)."""
     samples: Index
     """Which samples of the instrument they are (N,)."""
     first: int
-    """Where the residuals of the instrument begin among all."""
+    """Position of the instrument's first residual among all."""
     data: Array
     """d of each row (N, nd): rad, mm."""
     noise: Array

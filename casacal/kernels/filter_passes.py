@@ -79,7 +79,7 @@ class Cubature:
     def _by_blocks(self, first: int, rows: FilterRows, mean: Array, root: Array) -> tuple[int, Array, Array, Array]:
         n, count, once = rows.x0.size, rows.weight.size, rows.once
         means, trace = np.empty((count, n)), np.empty((count, 3))
-        # what a step reads and writes stays in place, so that CasADi is told where only once; S column by column
+        # buffers of a step stay in place, so that CasADi is given their addresses only once; S column by column
         points, data, w = np.empty((self._unknowns, 2 * n)), np.empty(once.shape[1]), np.empty(1)
         up, down = points[:, :n], points[:, n:]
         center, turned, figures = mean.copy(), root.T.copy(), np.empty(3)

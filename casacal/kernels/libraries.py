@@ -45,7 +45,7 @@ class CompilerError(Exception):
 
 @dataclass(frozen=True)
 class Compiler:
-    """How a C compiler is called, as a list of words, and the first line of its version."""
+    """Command line of a C compiler, as words, and the first line of its version."""
 
     command: tuple[str, ...]
     version: str

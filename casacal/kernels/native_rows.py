@@ -237,7 +237,7 @@ class PackedPieces:
         self._structs = (_PackedPiece * len(pieces))(*(self._packed(piece) for piece in pieces))
 
     def address(self, k: int) -> int:
-        """Where piece k stands, and those after it."""
+        """Address of piece k and of those after it."""
         return ctypes.addressof(self._structs[k])
 
     def _packed(self, piece: Piece) -> _PackedPiece:
@@ -314,7 +314,7 @@ class NativeNormal:
         return float(total[-1]), total[n * n : -1], total[: n * n].reshape(n, n)
 
     def step(self, x: Array, gradient: Array, information: Array, damping: float) -> tuple[Array, float, float] | None:
-        """Where a damped step leads from x (n,), its squared length, the fall it predicts; None when it has none."""
+        """End of a damped step from x (n,), its squared length and predicted fall of the cost; None without a step."""
         n = x.size
         with self._lock:
             self._x[:] = x

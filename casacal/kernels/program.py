@@ -255,7 +255,7 @@ class Program:
         return replace(self, outputs=(self.outputs[output],))
 
     def position(self, value: int) -> int:
-        """Where a value that is an element of an argument of role "once" stands in p."""
+        """Position in p of an element of an argument of role "once"."""
         argument, element = self.operations[value].element
         return self.starts[argument] + element
 

@@ -72,14 +72,14 @@ class Kernels(ABC):
 
 @dataclass(frozen=True)
 class Piece:
-    """Some rows that see the same unknowns, on their kernels."""
+    """Rows that depend on the same unknowns, with their kernels."""
 
     kernels: Kernels
     lanes: Lanes
     numbers: Index
-    """Where their residuals stand among all (n, m)."""
+    """Positions of their residuals among all (n, m)."""
     columns: Index
-    """Where z stands in x."""
+    """Positions of z in x."""
     constants: Array
     """Constants, which follow z in p."""
 

@@ -29,7 +29,7 @@ from casacal.values import Array, FrozenMapping, is_real, plain
 
 
 def dial_gain(percent: float = 0.15) -> Parameter:
-    """How much too much or too little a dial may show of every way: a prior, from its certificate, else 0.15 %.
+    """Prior of a dial's gain error, in percent: from its certificate, else 0.15 %.
 
     What touches of planes leave of a wrong gain is too small to be seen: geometry absorbs nearly all of it, as an arm
     that is too large or too small. So this has to be said.
@@ -43,7 +43,7 @@ def dial_cycle(micrometres: float = 3.0) -> Parameter:
 
 
 def dial_zero(std: float = 10.0, *, per: str = "session") -> Parameter:
-    """Where a dial was set to zero anew: an unknown for each value of a column, with a prior of so many mm."""
+    """Shift of a dial's zero where it was set anew: an unknown for each value of a column, with a prior in mm."""
     return Parameter(0.0, unit="mm", prior_std=std, per=per)
 
 

@@ -25,7 +25,7 @@ class Whole(Unknown):
     parts: ClassVar[tuple[tuple[str, str], ...]]
     """Suffix of the name of each local coordinate, and its unit."""
     unit_length: ClassVar[int] = 3
-    """How many raw coordinates, the first ones, are a vector or quaternion of length one."""
+    """Number of leading raw coordinates that form a unit vector or quaternion."""
     held_as_proposed: bool
     unsaid: ClassVar[tuple[str, str]]
     """Words for a missing nominal value of a held unknown, and the fix to suggest."""
@@ -61,13 +61,13 @@ class Whole(Unknown):
         return start_stds(self.prior_stds, start, self.units, f"a {type(self).__name__.lower()}")
 
     def _each(self, pair: float | tuple[float, float]) -> Array:
-        """For each local coordinate (size,) one of two numbers: in rad, in mm."""
+        """Array (size,) of one number for local coordinates in rad and another for those in mm."""
         turn, shift = spread(pair, 2, f"prior_std of a {type(self).__name__.lower()}")
         return np.array([turn if unit == "rad" else shift for unit in self.units])
 
     @property
     def raw_size(self) -> int:
-        """One more than there are tilts or turns and shifts, or none when held."""
+        """Number of raw coordinates: one more than local ones, or none when held."""
         return self.size + 1 if self.free else 0
 
     def raw_constraints(self, raw: Expression) -> list[Expression]:
@@ -457,7 +457,7 @@ def hand_eye(turns: Array, places: Array, quaternions: Array, read: Array) -> tu
     body in the device's frame: w, x, y, z (N, 4), and origins (N, 3; mm).
     """
     apart = np.linalg.svd(np.einsum("kia,kjb->ijab", turns, turns).reshape(9, 9), compute_uv=False)
-    if len(turns) < 3 or apart[0] - apart[1] < APART * apart[0]:  # of turns about one axis the largest two are alike
+    if len(turns) < 3 or apart[0] - apart[1] < APART * apart[0]:  # for turns about one axis the largest two are alike
         return None
     observed = turns_of(quaternions)
     # S' M = T B for every row: vec(T B) = (1 x T) vec(B), vec(S' M) = (M' x 1) vec(S')

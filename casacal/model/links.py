@@ -1,4 +1,4 @@
-"""Where the links of an arm are, and how they fall as its joints give: found from the flange pose alone."""
+"""Places of an arm's links, and their levers under gravity about the joints, from the flange pose alone."""
 
 from __future__ import annotations
 
@@ -143,5 +143,5 @@ def above_table(robot: Robot, table: float, radius: float = 0.0) -> Callable[[Ar
 
 
 def _foot(axis: Array, point: Array, place: Array) -> Array:
-    """Where on an axis through a point (3) a place (3) is nearest."""
+    """Foot of the perpendicular from a place (3) to an axis through a point (3)."""
     return np.asarray(point + axis * float(axis @ (place - point)))

@@ -243,7 +243,7 @@ class SphereTouch(ToolTip):
     )
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
-        """How far the ball stands off the sphere, mm."""
+        """Gap between ball and sphere, mm."""
         return ca.norm_2(self.tip(pose, p, row) - p.centre) - p.radii
 
     def propose(self, key: str, sight: Sight) -> Array:
@@ -273,7 +273,7 @@ class SelfContact(ToolTip):
     words = Words("distance between the balls", "mm", "touches", "nothing fitted")
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
-        """How far the balls stand off each other, mm."""
+        """Gap between the balls, mm."""
         return ca.norm_2(self.tip(pose, p, row) - p.other) - p.apart
 
 

@@ -22,7 +22,7 @@ from casacal.values import Array, FrozenMapping
 
 @dataclass(frozen=True, eq=False)
 class FaceFrame:
-    """Where a face lies, as its touches say: centre (3, mm), two directions in it (2, 3), half widths (2, mm)."""
+    """Frame of a face from its touches: centre (3, mm), two directions in it (2, 3), half widths (2, mm)."""
 
     centre: Array
     axes: Array
@@ -38,13 +38,13 @@ class FaceFrame:
         return FaceFrame(centre, plane.across, np.maximum((high - low) / 2, 1.0))
 
     def places(self, tips: Array) -> Array:
-        """Where tips (N, 3; mm) lie on it (N, 2), -1 to 1 from edge to edge."""
+        """Coordinates (N, 2) of tips (N, 3; mm) on the face, -1 to 1 from edge to edge."""
         return np.asarray((tips - self.centre) @ (np.column_stack([*self.axes]) / self.half))
 
 
 @dataclass(frozen=True)
 class Survey:
-    """Where the fitted rows lie, and when they were measured."""
+    """Places of the fitted rows, and the order in which they were measured."""
 
     faces: Mapping[str, FaceFrame]
     """Frames of the faces touched three times or more, by label."""
@@ -66,7 +66,7 @@ class Survey:
         )
 
     def places(self, samples: Samples, tips: Array, label: str | None) -> Array:
-        """Where on their faces rows lie (N, 2), -1 to 1; the middle of a face that was not fitted."""
+        """Coordinates (N, 2) of rows on their faces, -1 to 1; the middle of a face that was not fitted."""
         found = np.zeros((len(samples), 2))
         for name, rows in samples.faces(label).rows().items():
             if name in self.faces:
@@ -148,7 +148,7 @@ class Term(Portable, ABC):
     @property
     @abstractmethod
     def words(self) -> str:
-        """How reports call it."""
+        """Name in reports."""
 
     @abstractmethod
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
@@ -181,7 +181,7 @@ class Term(Portable, ABC):
         return dict.fromkeys(self.columns(site), self.elsewhere)
 
     def joints(self, here: Here) -> Expression | None:
-        """By how much joints (n; rad, mm) stand off what the controller says."""
+        """Deviations of the joints (n; rad, mm) from what the controller shows."""
         del here
         return None
 

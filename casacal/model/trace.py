@@ -257,9 +257,9 @@ class RowModel:
     constants: tuple[str, ...]
     """Keys of the unknowns whose nominal is part of c, in order."""
     terms: tuple[Term, ...]
-    """Those that mean something to this robot and instrument."""
+    """Terms that have unknowns for this robot and instrument."""
     linear: int
-    """How many of z, the last, are of terms."""
+    """Number of unknowns of terms, which are the last in z."""
     names: tuple[str, ...]
     """Columns of d beside the joint values, in order."""
     residual: ca.Function

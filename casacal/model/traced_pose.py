@@ -129,7 +129,7 @@ class TracedPose(Value):
 
     @property
     def joints(self) -> int:
-        """How many joint values q has."""
+        """Number of joint values in q."""
         return int(self.graph.size1_in(self.graph.n_in() - 1))
 
     @cached_property

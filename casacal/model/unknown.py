@@ -22,7 +22,7 @@ PRIOR_STD = {"mm": 0.7, "rad": 1e-3}
 LARGEST_STD = 1e12  # a standard deviation beyond which, or below whose inverse, arithmetic ends before knowledge does
 
 START_STD = {"mm": 10.0, "rad": 0.01}
-"""Where a filter or a population starts an unknown with a flat prior (10 mm, 10 mrad); never part of the cost."""
+"""Start of a filter's or a population's spread where the prior is flat (10 mm, 10 mrad); never part of the cost."""
 
 
 class Unknown(ABC):
@@ -63,7 +63,7 @@ class Unknown(ABC):
     @property
     @abstractmethod
     def nominal_size(self) -> int:
-        """How many numbers fix a nominal value."""
+        """Number of components of a nominal value."""
 
     @property
     def raw_size(self) -> int:

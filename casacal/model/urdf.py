@@ -74,7 +74,7 @@ def _said(values: tuple[float, ...]) -> str:
 
 
 def numbers_in(text: str, count: int) -> list[float]:
-    """So many finite numbers between blanks; none where the text is anything else."""
+    """`count` finite numbers between blanks; none where the text is anything else."""
     try:
         values = [float(part) for part in text.split()]
     except ValueError:

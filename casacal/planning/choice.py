@@ -32,7 +32,7 @@ Criterion: TypeAlias = Literal["tip", "parameters"]
 
 
 def gains(rows: Array, covariance: Array, weight: Array, criterion: Criterion = "tip") -> Array:
-    """By how much each measurement (N, m, n) lowers trace(C M), or the logarithm of the determinant of C: (N,)."""
+    """Fall (N,) of trace(C M), or of ln det C, by each measurement (N, m, n)."""
     size, unknowns = rows.shape[1:]
     flat = rows.reshape(-1, unknowns)
     cross = flat @ covariance
@@ -151,7 +151,7 @@ class Choice:
         criterion: Criterion = "tip",
         barred: Rows | None = None,
     ) -> Index:
-        """So many measurements, the best of some exchanges; none of those that are barred (N,)."""
+        """`count` measurements, the best of some exchanges; none of those that are barred (N,)."""
         there = np.arange(len(self.rows)) if barred is None else np.flatnonzero(~barred)
         begins = [rng.choice(there, count, replace=False) for _ in range(starts)]
         found = (self.exchange(start, criterion=criterion, barred=barred) for start in begins)

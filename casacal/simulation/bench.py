@@ -58,7 +58,7 @@ class Bench:
         return e, slopes.reshape(len(rows), data.shape[1], e.shape[1]).transpose(0, 2, 1)[:, :, : free.shape[1]]
 
     def beyond(self, free: Array, rows: Index) -> Array:
-        """How far (k,; mm) the tips of some rows lie outside their faces."""
+        """Distances (k,; mm) by which the tips of some rows lie outside their faces."""
         if not self.faces:
             return np.zeros(len(rows))
         (tips,) = self.problem.model.batch.tip(self.z[rows], self.c[rows], np.hstack([free, self.known[rows]]))
@@ -132,7 +132,7 @@ def _is_flat(unknown: Unknown) -> bool:
 CANDIDATES = 80  # random postures for each row; the one that fits best is where its search begins
 ROUNDS, STEPS = 30, 40  # times that rows are tried afresh, and Gauss-Newton steps of each
 FITS = 1e-9  # residual, in units of the largest of its noise or a thousandth of a unit, below which a row fits
-SLOW = 1e-3  # what a reading costs in the step that is sought, where a radian costs one: readings move before joints do
+SLOW = 1e-3  # cost of a reading in a step, where a radian costs one: readings move before joints do
 
 
 def exact_rows(bench: Bench, labels: Mapping[str, Labels], rng: np.random.Generator, *, rounds: int) -> Samples:
@@ -203,7 +203,7 @@ def _met(bench: Bench, start: Array, target: Array, rows: Index, *, held: bool =
     ease = np.concatenate([unit * (not held), np.full(bench.read, 1.0 / SLOW)])
     size = max(float(np.abs(target).max(initial=0.0)), 1e-3)
     e, slopes = bench.residual(free, rows)
-    part = np.ones(len(free))  # of each row's step; a step that would lead away from the target is tried shorter
+    part = np.ones(len(free))  # fraction of each row's step; one that leads away from the target is tried shorter
     for _ in range(STEPS):
         miss = e - target
         if (np.abs(miss) <= FITS * size).all():

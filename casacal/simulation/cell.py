@@ -198,7 +198,7 @@ OF_FACES = tuple(field.name for field in fields(Cell)[len(fields(Disturbances)) 
 OF_TOUCHES = tuple(name for name in OF_FACES if name not in ("tilt", "travel"))
 """Settings that are refused where no face is touched."""
 
-OF_DIALS = ("dial_gain", "dial_cycle", "hysteresis", "drift")  # what only a reading shows
+OF_DIALS = ("dial_gain", "dial_cycle", "hysteresis", "drift")  # settings that only a reading shows
 
 
 def plate(

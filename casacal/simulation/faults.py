@@ -15,7 +15,7 @@ from casacal.simulation.cell import Cell, Disturbances
 from casacal.simulation.touches import TouchingArm
 from casacal.values import Array, Index
 
-TURN = 1.0  # what one turn of the pointer shows, mm
+TURN = 1.0  # reading of one turn of the pointer, mm
 ROUNDS = 60
 """Fixed-point steps: the steepest waves halve the miss with each, and leave less than 1e-11 mm; real gears need 3."""
 
@@ -41,7 +41,7 @@ class DialErrors:
         return DialErrors(gain, cell.dial_cycle, phase, cell.hysteresis, cell.drift)
 
     def shown(self, ways: Array, came: Array, when: Array) -> Array:
-        """Readings (N,) at true travels (N,), approached upwards (1) or downwards (-1), at times 0 to 1 of a session."""
+        """Readings (N,) at travels (N,), approached upwards (1) or downwards (-1), at times 0 to 1 of a session."""
         shown = ways
         for _ in range(ROUNDS if self.gain or self.cycle else 0):
             wave = self.cycle * np.sin(2 * math.pi * shown / TURN + self.phase)

@@ -95,7 +95,7 @@ class SessionPlan:
         return np.arange(len(self.which)) / max(len(self.which) - 1, 1)
 
 
-FIRST = "first"  # what a simulated session is called, as are other labels that are no faces
+FIRST = "first"  # name of a simulated session, and of other labels that are no faces
 
 
 @dataclass(frozen=True)
@@ -350,7 +350,7 @@ class Simulation(Value):
         return self.parts[self.problem.number(instrument)] if self.parts else self
 
     def true_tips(self, joints: Array, *, readings: Array | None = None, when: Array | float = 0.5) -> Array:
-        """Where the tip truly stands (N, 3; mm, base frame) at `joints` of the controller: what an ideal tracker sees.
+        """True tips (N, 3; mm, base frame) at `joints` of the controller, as an ideal tracker sees them.
 
         Gear waves, sag and growth move it beside the geometry. What differs from time to time at the same posture
         (repeatability, backlash, rounded encoders) is taken at its mean, zero. Of several instruments it is the tip of

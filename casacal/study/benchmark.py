@@ -238,7 +238,7 @@ class FoldTrial:
         return {"squares": float(squares.sum()), "rows": float(squares.size), "refused": refused}
 
     def detail(self, result: Result) -> Mapping[str, Any]:
-        """Nothing more."""
+        """No further data."""
         del result
         return {}
 
@@ -271,7 +271,7 @@ Way = Callable[[Problem, Samples, Samples], Array | Told]
 
 def estimate(metered: Any, way: Way) -> Result:
     """Residuals of a method on unseen rows, in place of a trace."""
-    problem: UnseenToo = metered.problem  # what the harness counts evaluations of
+    problem: UnseenToo = metered.problem  # the problem whose evaluations the harness counts
     answer = way(problem.arm, problem.fitted, problem.unseen)
     answer = answer if isinstance(answer, Told) else Told(answer, "")
     residuals, refused = np.asarray(answer.residuals, dtype=np.float64), answer.verdict == "do not use"

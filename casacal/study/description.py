@@ -149,9 +149,9 @@ Key: TypeAlias = tuple[str, int]
 DIGITS = 10  # significant digits that a record keeps of a number
 TIMING_DIGITS = 4
 TIMINGS = "seconds"  # the one entry of a record that may differ when the trial is run again
-LIMIT = "limit"  # what a record has besides where a time limit ended its method: that limit in seconds
+LIMIT = "limit"  # key of the time limit, in seconds, in a record whose method it ended
 _CHECKED = re.compile(rb',"check":"([0-9a-f]{16})"}$')
-"""How a line ends: with the first half of the SHA-256 of the line without this end."""
+"""End of a line: the first half of the SHA-256 of the line without this end."""
 
 
 def key_of(record: Mapping[str, Any]) -> Key:
@@ -346,7 +346,7 @@ class Trial(Protocol):
 
 
 class Setting(Protocol):
-    """Where trials come from: a problem in a cell, a file of measurements split at random, ..."""
+    """Source of trials: a problem in a cell, a file of measurements split at random, ..."""
 
     def trial(self, seed: int) -> Trial:
         """The trial of a seed; the same for the same seed, whoever asks."""
@@ -403,7 +403,7 @@ class Study:
         return found if isinstance(found, Method) else Method(found)
 
     def trials_of(self, method: str) -> int:
-        """In how many trials of a setting a method takes part."""
+        """Number of trials of a setting in which a method takes part."""
         most = self.method(method).trials
         return self.trials if most is None else min(most, self.trials)
 

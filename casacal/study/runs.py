@@ -99,7 +99,7 @@ def _key(path: str, quick: bool, trials: int, setting: str, method: str) -> str:
 
 
 def in_processes(function: Callable[[Item], Made], tasks: Sequence[Item], workers: int) -> Iterator[Made]:
-    """In `workers` fresh processes of this machine; the function and its tasks must be importable and picklable.
+    """Results of a function, task by task, from `workers` fresh processes; function and tasks must be picklable.
 
     Raises StudyError when a process dies.
     """
@@ -138,7 +138,7 @@ def _end_with_parent() -> None:
 
 
 def on_cluster(function: Callable[[Item], Made], tasks: Sequence[Item], address: str) -> Iterator[Made]:
-    """On the Dask cluster whose scheduler listens at `address`, such as tcp://host:8786.
+    """Results of a function, task by task, from the Dask cluster whose scheduler listens at `address` (tcp://host:8786).
 
     Its workers need casacal and the study's file at the same path. Raises StudyError without the extra `cluster`,
     when no scheduler answers, or when its workers are lost.
@@ -255,7 +255,7 @@ def _heard(
 
 
 def _words(process: BaseProcess) -> str:
-    """How a process ended, as the message of a failure."""
+    """Failure message for the way a process ended."""
     code = None
     if wait([process.sentinel], LEEWAY):
         with _CHILDREN:
@@ -413,7 +413,7 @@ def merge(study: Study, parts: Sequence[Path], out: Path, *, quick: bool = False
 
 
 def missing(study: Study, made: Run) -> int:
-    """How many records of a study a run does not have."""
+    """Number of a study's records that a run lacks."""
     return sum(len(task.methods) for task in tasks_of(study)) - len(made.records)
 
 

@@ -1,4 +1,4 @@
-"""How large effects beside the geometry are, as the rows show them: restricted marginal likelihood."""
+"""Sizes of non-geometric effects from the rows, by restricted marginal likelihood."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ LARGE = 50_000  # rows among which it is no matter whether an unknown more or le
 
 
 def effective_unknowns(problem: LeastSquares, x: Array, loss: Loss | None = None) -> float:
-    """How many unknowns the data determined at x (n,): the trace of the hat matrix, right under any mix of priors."""
+    """Number of unknowns that the data determined at x (n,): the trace of the hat matrix, under any mix of priors."""
     if problem.rows > LARGE:
         return determined(problem.normal(x, loss).information, problem.prior_rows)
     rows = problem.weighted_rows(x, loss)

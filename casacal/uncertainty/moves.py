@@ -53,7 +53,7 @@ def prior_moves(bound: ArmProblem, x: Array, covariance: Array) -> PriorMoves:
     """
     own = np.flatnonzero(np.isfinite(bound.prior_std) & ~bound.datum)
     std, spread = bound.prior_std[own], covariance[np.ix_(own, own)]
-    if not np.isfinite(spread).all():  # what nothing holds drags others along
+    if not np.isfinite(spread).all():  # an unbounded unknown drags others along
         return PriorMoves(0.0, 0.0, 1.0)
     weights = np.clip(np.linalg.eigvalsh(np.eye(own.size) - spread / np.outer(std, std)), 0.0, 1.0)
     total, decided = float((((x - bound.x0)[own] / std) ** 2).sum()), float(weights.sum())
@@ -85,7 +85,7 @@ class PriorScatter:
         return math.sqrt(float(self.sizes @ self.freedoms))
 
     def chance_below(self, rms: float) -> float:
-        """How probable it is that the drawn arm misses the planes by no more than `rms` (mm)."""
+        """Probability that the drawn arm misses the planes by no more than `rms` (mm)."""
         return 1.0 - chance_of_sum(self.sizes, self.freedoms, rms**2)
 
 
@@ -149,7 +149,7 @@ LARGEST = 700.0  # whose exponential is still a number
 
 @dataclass(frozen=True, eq=False)
 class CommonScale:
-    """By what part of one all lengths are too large together, and the chance of so much if nothing scales them.
+    """Common relative error of all lengths, and the chance of so much if nothing scales them.
 
     off: by how much unknowns (s,) are elsewhere for it.
     """

@@ -114,7 +114,7 @@ class LearnedPriors(Value):
 
 
 def learned_priors(calibrations: Iterable[CalibrationFit]) -> LearnedPriors:
-    """How far arms of a make are from their drawing, as calibrations of some of them show, over what their priors say.
+    """Deviations of arms of one make from their drawing over their priors, learned from calibrations of some of them.
 
     All lengths of the arms have one factor and all angles another: those at which the rows of all arms together are
     likeliest, everything else integrated out (restricted marginal likelihood). One arm says little; its interval says
