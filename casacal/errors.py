@@ -35,7 +35,7 @@ class CasacalError(Exception):
     """A refusal in one sentence or two; the command line prints it on one line and exits with 2."""
 
     def __init__(self, what: str, fix: str) -> None:
-        shown = (harmless(text) for text in (what, fix))  # what came may be as long as a file
+        shown = (harmless(text) for text in (what, fix))  # values in it may be as long as a file
         self.what, self.fix = (text if len(text) <= LONGEST else f"{text[: LONGEST - 4]} ..." for text in shown)
         super().__init__(f"{self.what}. {self.fix}.")
 
@@ -62,7 +62,7 @@ class ProblemError(CasacalError):
 
 
 class SimulationError(CasacalError):
-    """A cell in which the robot cannot touch the faces as asked."""
+    """A cell whose faces the robot cannot touch as requested."""
 
 
 class RefusedResultError(CasacalError):

@@ -26,7 +26,7 @@ from casacal.errors import CasacalError
 from casacal.public import __version__
 
 MADE = f"written by casacal {__version__}"
-"""What every file that casacal writes says of itself: in a comment near its beginning or at its end, or as follows."""
+"""Mark of a file that casacal wrote: in a comment near its beginning or at its end, or as a JSON key (`BY`)."""
 
 BY, LOOKED_AT = "written_by", 8192
 MARKS = re.compile(
@@ -131,7 +131,7 @@ def sweep(folder: Path, prefix: str) -> None:
 
 
 def _runs(process: int) -> bool:
-    """Whether a process with this number runs; where that cannot be asked, it is taken to."""
+    """Whether a process with this number runs; True where the system cannot tell."""
     if os.name == "nt":  # there, asking would end it
         return True
     try:
@@ -172,20 +172,20 @@ PREFIX = ".casacal-"
 
 
 @contextmanager
-def together(folder: Path, names: Sequence[str], *, asked: Path | None = None, own: bool = False) -> Iterator[Path]:
-    """A place for files that all take their places in a folder at the end, or none of them.
+def together(folder: Path, names: Sequence[str], *, named: Path | None = None, own: bool = False) -> Iterator[Path]:
+    """Temporary folder whose files are moved into `folder` at the end: all of them, or none.
 
     Files of the same names from an earlier run that are not made again go, so that the folder never holds files of two
     runs; the last name comes last, so that where it stands all stand. Signals wait meanwhile. What a kill interrupts
     there, `recover` brings to its end. The folder is made where it does not exist, and removed if nothing came of it.
 
-    names: files that may be made, in the order in which they are placed. asked: what a refusal names; by default the
+    names: files that may be made, in the order in which they are placed. named: what a refusal names; by default the
     folder. own: as for `write_text`. Raises CasacalError when the folder cannot be written, or another run is writing
     into it, or a file there was not written by casacal.
     """
     made = not folder.exists()
     try:
-        with writable(asked or folder):
+        with writable(named or folder):
             folder.mkdir(parents=True, exist_ok=True)
             with _locked(folder):
                 sweep(folder, PREFIX)
@@ -208,12 +208,12 @@ def together(folder: Path, names: Sequence[str], *, asked: Path | None = None, o
 def side_by_side(targets: Sequence[Path]) -> Iterator[list[Path]]:
     """Places for files that go to targets in one folder, as `together` does, the last one named where it refuses."""
     folder = targets[0].parent
-    with together(folder, [target.name for target in targets], asked=targets[-1]) as place:
+    with together(folder, [target.name for target in targets], named=targets[-1]) as place:
         yield [place / target.name for target in targets]
 
 
 READY, LIST = ".casacal.ready-", ".list"
-"""What the name of a folder begins with whose files are whole and take their places beside it, and its list of them."""
+"""Prefix of a folder of finished files that are being moved to their places, and the suffix of the list of them."""
 
 
 def _place(folder: Path, place: Path, names: Sequence[str], own: bool) -> None:
@@ -241,7 +241,7 @@ def _finish(folder: Path) -> None:
             sound = bool(rows) and all(Path(name).name == name for name, _ in rows)
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             sound = False
-        if not sound:  # of somebody else
+        if not sound:  # somebody else's folder
             continue
         ends = {name: Path(os.path.realpath(folder / name)) for name, _ in rows}
         for target in ends.values():

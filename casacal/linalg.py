@@ -157,7 +157,7 @@ def posterior_covariance(data_information: Array, prior: Array) -> Array:
 
 
 def determined(data_information: Array, prior_rows: Array) -> float:
-    """How many unknowns the data determined: the trace of J (J'J + W'W)^-1 J', to a few where priors are flat.
+    """Number of unknowns that the data determined: the trace of J (J'J + W'W)^-1 J', flat priors allowed.
 
     It is the rank of J'J + W'W less what the rows W (k, n) of the prior hold, each of them at most one.
     """
@@ -165,8 +165,8 @@ def determined(data_information: Array, prior_rows: Array) -> float:
     scale = unit_scale(np.diagonal(information))
     values, vectors = np.linalg.eigh(scale[:, None] * information * scale)
     held = values > ROUNDING * len(values)
-    seen = (prior_rows * scale) @ vectors[:, held]
-    return float(held.sum() - np.clip((seen**2 / values[held]).sum(axis=1), 0.0, 1.0).sum())
+    along = (prior_rows * scale) @ vectors[:, held]
+    return float(held.sum() - np.clip((along**2 / values[held]).sum(axis=1), 0.0, 1.0).sum())
 
 
 def inverse_triangle(root: Array) -> Array:

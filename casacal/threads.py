@@ -1,4 +1,4 @@
-"""How many threads share the work: rows are worth it in thousands, the matrices of an arm never."""
+"""Number of threads for rows and for linear algebra: thousands of rows are worth several, an arm's matrices one."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ def one_thread_each() -> None:
         os.environ.setdefault(name, "1")
 
 
-def thread_count(asked: int | None = None) -> int:
-    """Threads that may share rows: what was asked for, else CASACAL_THREADS, else the processors at hand.
+def thread_count(requested: int | None = None) -> int:
+    """Number of threads that share rows: as requested, else CASACAL_THREADS, else the processors available.
 
     Raises ProblemError for less than one, or what is not a number.
     """
-    given = os.environ.get(VARIABLE) if asked is None else str(asked)
-    if not given:
+    text = os.environ.get(VARIABLE) if requested is None else str(requested)
+    if not text:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if not given.isdecimal() or int(given) < 1:
-        raise ProblemError(f"{given!r} threads were asked for", "Give one or more")
-    return int(given)
+    if not text.isdecimal() or int(text) < 1:
+        raise ProblemError(f"{text!r} threads were asked for", "Give one or more")
+    return int(text)
 
 
 def shared_out(task: Callable[[Item], Made], items: Iterable[Item], threads: int) -> list[Made]:

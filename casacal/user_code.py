@@ -16,7 +16,7 @@ from typing import Any
 
 from casacal.errors import CasacalError, said
 
-BESIDE = "__casacal_beside__"  # under which a module that `run_file` made holds the files beside it that it imported
+IMPORTED = "__casacal_beside__"  # name in a module made by `run_file`: the files of its folder that it imported
 
 RUNNING = frozenset({*sys.stdlib_module_names, "casacal", "casadi", "numpy", "scipy", "pandas", "matplotlib"})
 """Modules that stay whatever lies in a folder: Python's own, casacal and what it runs on."""
@@ -36,13 +36,13 @@ def run_file(path: str | Path, text: str | None = None) -> ModuleType:
     source = file.read_bytes() if text is None else text.encode("utf-8")
     module = ModuleType(f"casacal_user_{hashlib.sha256(str(file).encode() + source).hexdigest()[:16]}")
     module.__file__ = str(file)
-    with _IMPORTING, redirect_stdout(sys.stderr), _folder_first(file.resolve().parent) as beside:
+    with _IMPORTING, redirect_stdout(sys.stderr), _folder_first(file.resolve().parent) as imported:
         sys.modules[module.__name__] = module  # dataclasses look there for the names in annotations
         try:
             exec(compile(source, str(file), "exec"), vars(module))
         finally:
             sys.modules.pop(module.__name__, None)
-    vars(module)[BESIDE] = tuple(beside)
+    vars(module)[IMPORTED] = tuple(imported)
     return module
 
 
@@ -57,16 +57,16 @@ def line_of(file: Path, error: BaseException) -> str:
 @contextmanager
 def _folder_first(folder: Path) -> Iterator[list[str]]:
     """Let imports find a folder first while the block runs; yields a list of the files imported from there."""
-    beside = {entry.stem for entry in folder.glob("*.py")} | {entry.parent.name for entry in folder.glob("*/*.py")}
-    beside -= RUNNING
-    aside = {name: sys.modules.pop(name) for name in list(sys.modules) if name.split(".")[0] in beside}
+    local = {entry.stem for entry in folder.glob("*.py")} | {entry.parent.name for entry in folder.glob("*/*.py")}
+    local -= RUNNING
+    aside = {name: sys.modules.pop(name) for name in list(sys.modules) if name.split(".")[0] in local}
     sys.path.insert(0, str(folder))
     loaded: list[str] = []
     try:
         yield loaded
     finally:
         sys.path.remove(str(folder))
-        for name in [name for name in sys.modules if name.split(".")[0] in beside]:
+        for name in [name for name in sys.modules if name.split(".")[0] in local]:
             loaded.append(str(getattr(sys.modules.pop(name), "__file__", None) or ""))
         sys.modules.update(aside)
 

@@ -25,7 +25,7 @@ from casacal.calibration.calibrated import Calibrated
 from casacal.calibration.verdict import verdict_of
 from casacal.data.holdout import split
 from casacal.fit import BoundProblem, Result
-from casacal.fit.seen import ArmAlone
+from casacal.fit.arm_alone import ArmAlone
 from casacal.study import Method, Run, Study
 from casacal.study.statistics import mean_interval
 from casacal.uncertainty.tip_error import rigid_fields, tip_stds

@@ -20,7 +20,7 @@ from casacal.data.samples import write_samples
 from casacal.deployment.arm import CalibratedArm
 from casacal.planning import handouts as ways_of
 from casacal.planning.handouts import program_text
-from casacal.planning.plan import told
+from casacal.planning.plan import plan_sentences
 from casacal.planning.set_ups import SetUp
 from casacal.shopfloor import Session
 from casacal.shopfloor.known import Alarm, SessionState, Suspected
@@ -159,7 +159,7 @@ def test_a_program_leads_past_a_touch_from_which_the_arm_cannot_draw_back(hsr, s
 
 def test_set_ups_say_that_they_compare_with_one_another(hsr, small):
     compared = [SetUp("as it is", hsr.problem, hsr.cell, 0.6)]
-    said = " ".join(told(small, compared, where="over the workspace", pool=3000, after=False))
+    said = " ".join(plan_sentences(small, compared, where="over the workspace", pool=3000, after=False))
     assert "fitted touches of 600 candidates" in said
     assert "not with the plan above, chosen of 3000" in said
 

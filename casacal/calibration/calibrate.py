@@ -25,13 +25,13 @@ from casacal.deployment.arm import CalibratedArm
 from casacal.effects.kit import BY_LINKS, with_link_kit
 from casacal.effects.selection import with_effects
 from casacal.errors import CasacalError, ProblemError, SamplesError, came
+from casacal.fit.arm_alone import bind_further
 from casacal.fit.bound_problem import BoundProblem, bind
 from casacal.fit.controls import plane_only
 from casacal.fit.ipopt import check_solver, nlpsol
 from casacal.fit.least_squares import Result
 from casacal.fit.lm import lm
 from casacal.fit.methods import METHODS
-from casacal.fit.seen import bind_further
 from casacal.kernels.losses import Loss
 from casacal.model.problem import Problem
 from casacal.model.problem_file import ProblemFile

@@ -29,11 +29,11 @@ from casacal.effects.selection import (
     leave_one_face_out,
 )
 from casacal.errors import CasacalError
+from casacal.fit.arm_alone import ArmAlone, ArmProblem, arm_alone, extended
 from casacal.fit.bound_problem import BoundProblem, bind, each_alone
 from casacal.fit.least_squares import Result
 from casacal.fit.lm import lm
 from casacal.fit.methods import minimises
-from casacal.fit.seen import ArmAlone, Seen, extended, seen
 from casacal.linalg import posterior_covariance
 from casacal.model.problem_file import ProblemFile
 from casacal.planning.cures import Cure, cure_for, cures
@@ -345,14 +345,14 @@ class Calibration(Value):
         return self
 
     @cached_property
-    def seen(self) -> Seen:
+    def seen(self) -> ArmProblem:
         """The fit with the unknowns of single labels (faces, stations) marginalised; figures of the arm rest on it."""
-        return seen(self.fit, self.result.x)[0]
+        return arm_alone(self.fit, self.result.x)[0]
 
     @cached_property
     def seen_x(self) -> Array:
         """Estimate of the unknowns of `seen` (s,)."""
-        return seen(self.fit, self.result.x)[1]
+        return arm_alone(self.fit, self.result.x)[1]
 
     @property
     def std(self) -> Array:
@@ -446,7 +446,7 @@ class Calibration(Value):
         parallel or a plate that is level, an estimate hides but for its own corrections, so that at a tolerance of
         1e-9 rounding would decide it, and no two runs could be compared. `structural` says what stays hidden.
         """
-        joints, (drawn, x0) = workspace_joints(self.fit.problem.robot), seen(self.bare, self.bare.x0)
+        joints, (drawn, x0) = workspace_joints(self.fit.problem.robot), arm_alone(self.bare, self.bare.x0)
         return identifiability(drawn, drawn.tip_jacobian(x0, joints), drawn.tips(x0, joints))
 
     @cached_property
@@ -457,7 +457,7 @@ class Calibration(Value):
         verdict is not to use this result. Touches tell geometry; what else errs, and an estimate's way to the minimum,
         stays.
         """
-        geometry, x = seen(self.weighed, self.bare_x)
+        geometry, x = arm_alone(self.weighed, self.bare_x)
         stays = self.tip_std[1] ** 2 - expected_accuracy(geometry, x)[1] ** 2
         return cures(self.weighed, self.bare_x, stays=max(stays, 0.0) if math.isfinite(stays) else 0.0)
 
@@ -468,7 +468,7 @@ class Calibration(Value):
         directions: tuple[NullDirection | WeakDirection, ...] = (*found.null, *found.weak)
         if all(direction.tip_mm < HARMLESS for direction in directions):
             return (NOT_NEEDED,) * len(directions)
-        geometry, x = seen(self.weighed, self.bare_x)
+        geometry, x = arm_alone(self.weighed, self.bare_x)
         now = posterior_covariance(geometry.information(x), geometry.prior_information)
         return tuple(
             NOT_NEEDED if direction.tip_mm < HARMLESS else cure_for(geometry, now, self.cures, direction)

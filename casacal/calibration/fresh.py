@@ -22,8 +22,8 @@ from casacal.deployment.arm import (
     CalibratedArm,
     TellingColumns,
     all_motion,
+    for_instrument,
     named_covariance,
-    seen_by,
     with_effects,
 )
 from casacal.errors import CasacalError, ProblemError, SamplesError, UnknownNameError
@@ -86,7 +86,7 @@ def with_shifts(bound: BoundProblem) -> BoundProblem:
 
 def shift_columns(shifted: BoundProblem, key: str) -> NDArray[np.intp]:
     """Positions in x of a key's unknowns."""
-    slot = next(slot for slot in shifted.slots if slot.key == key and slot.beside == Shifts.key)
+    slot = next(slot for slot in shifted.slots if slot.key == key and slot.term == Shifts.key)
     return np.array(slot.columns, dtype=np.intp)
 
 
@@ -208,7 +208,7 @@ class Fresh:
         position = np.cumsum(self.known) - 1
         for slot in bound.slots:
             for j, name in zip(slot.columns, slot.unknown.names(slot.name), strict=True):
-                if self.known[j] and not slot.beside:
+                if self.known[j] and not slot.term:
                     for word in filter(None, dict.fromkeys((name, slot.name, slot.key, slot.label))):
                         places.setdefault(word, []).append(int(position[j]))
         joints = {f"joint{i}": axis for i, axis in enumerate(bound.problem.robot.axes, 1)}
@@ -301,7 +301,7 @@ def fresh_rows(
     places = {name: j for j, name in enumerate(names)}
     known, at = np.zeros(bound.unknowns, dtype=bool), np.zeros(bound.unknowns)
     for slot in bound.slots:
-        if slot.beside:
+        if slot.term:
             known[slot.columns] = True
             at[slot.columns] = [corrected.get(bound.names[j], 0.0) for j in slot.columns]
             continue
@@ -536,7 +536,7 @@ def opened(
     if isinstance(standing, str):
         raise CasacalError(f"Got the text '{standing}' as the list of what has not moved", f"Give ['{standing}']")
     found = arm_from(result, "the result")
-    arm = seen_by(found, instrument if problem is not None else measured_by(found, samples, instrument))
+    arm = for_instrument(found, instrument if problem is not None else measured_by(found, samples, instrument))
     source, robot = arm.source, arm.source.problem.robot
     if problem is not None:  # the result's arm with another problem's instrument
         other = problem_from(problem).problem

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from casacal.effects.selection import MOST_ROWS, VERY_STRONG, at_most, gains, in_sample_gains
+from casacal.fit.arm_alone import ArmAlone, ArmProblem, moving
 from casacal.fit.bound_problem import BoundProblem
 from casacal.fit.least_squares import Conditioned, Result
 from casacal.fit.lm import lm
-from casacal.fit.seen import ArmAlone, Seen, moving
 from casacal.model.term import Site
 from casacal.uncertainty.tip_error import expected_accuracy, tip_stds, without_rigid, workspace_joints
 from casacal.values import Array, FrozenMapping, Value
@@ -31,7 +31,7 @@ class Motion:
     error of the tip; None where it is nowhere else. covariance: of the estimate (s, s).
     """
 
-    arm: Seen
+    arm: ArmProblem
     x: Array
     off: Array | None
     covariance: Array
@@ -104,12 +104,12 @@ def _over_rows(fit: BoundProblem, x: Array) -> Array:
     return np.asarray(slopes / math.sqrt(len(some.measured)))
 
 
-def effect_keys(arm: Seen) -> tuple[str, ...]:
+def effect_keys(arm: ArmProblem) -> tuple[str, ...]:
     """Key of the effect that each unknown belongs to; empty for those of the geometry."""
     return tuple(arm.whole.beside[j] for j in arm.free) if isinstance(arm, ArmAlone) else arm.beside
 
 
-def among(result: Result, arm: Seen) -> Array:
+def among(result: Result, arm: ArmProblem) -> Array:
     """Covariance (s, s) of some unknowns of a fit."""
     return result.covariance[np.ix_(arm.free, arm.free)] if isinstance(arm, ArmAlone) else result.covariance
 

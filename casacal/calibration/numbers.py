@@ -12,14 +12,14 @@ from casacal.calibration.finding import Fault, Finding, Undone, freed_of_unknown
 from casacal.data.samples import Samples
 from casacal.effects.selection import with_effects
 from casacal.errors import CasacalError
+from casacal.fit.arm_alone import ArmProblem
 from casacal.fit.bound_problem import BoundProblem, bind, times
 from casacal.fit.least_squares import Result
 from casacal.fit.lm import lm
-from casacal.fit.seen import Seen
 from casacal.linalg import svd
 from casacal.model.problem import Problem
 from casacal.model.unknown import Parameter
-from casacal.uncertainty.evidence import evidence, told
+from casacal.uncertainty.evidence import evidence, normal_equations
 from casacal.uncertainty.figures import chance_beyond, noise_interval
 from casacal.uncertainty.moves import DULL, chance_of_move, common_scale
 from casacal.uncertainty.noise import found_noise
@@ -202,7 +202,7 @@ def _one_of(problem: Problem, rivals: Mapping[str, str], name: str, size: str) -
     return Finding("error", f"{listed([*rivals, name], 'or')} elsewhere", cause, fix)
 
 
-def wrong_scale(bound: Seen, x: Array, covariance: Array) -> list[Finding]:
+def wrong_scale(bound: ArmProblem, x: Array, covariance: Array) -> list[Finding]:
     """A finding where all lengths of an estimate x (n,) share a scale error, as after an instrument of wrong scale.
 
     No arm is built so, and such rows fit well. It counts where it moves the tip, over the workspace and apart from the
@@ -287,7 +287,7 @@ def _likelihood(bound: BoundProblem) -> float:
     fit = with_effects(bound.with_noise(found_noise(bound).scale), bound.problem)
     found = lm(fit)
     fit = fit.with_noise(times(fit.scale, noise_interval(found)[0]))
-    return evidence(told(fit, found.x), fit.prior_information) - float(np.log(fit.noise).sum())
+    return evidence(normal_equations(fit, found.x), fit.prior_information) - float(np.log(fit.noise).sum())
 
 
 def _promising(bound: BoundProblem, x: Array, variances: Array) -> list[tuple[str, str, str]]:

@@ -14,9 +14,9 @@ from casacal.data.samples import Samples, write_samples
 from casacal.deployment.result_file import sealed
 from casacal.errors import CasacalError
 from casacal.files import side_by_side, write_json
+from casacal.fit.arm_alone import arm_alone
 from casacal.fit.bound_problem import BoundProblem, bind
 from casacal.fit.least_squares import Result, Status
-from casacal.fit.seen import seen
 from casacal.model.problem_file import ProblemFile
 from casacal.public import __version__
 from casacal.simulation.simulate import Simulation
@@ -58,7 +58,7 @@ def truth_document(simulation: Simulation, source: ProblemFile, bound: BoundProb
     x, samples = simulation.truth(bound), bound.measured
     truth = Result("truth", bound, x, Status.TRUTH, {}, steps=0, residual_rows=0, jacobian_rows=0)
     rows = parts.rows_of(bound, x, np.zeros(bound.unknowns), ["simulation"] * bound.unknowns)
-    names = seen(bound, x)[0].names
+    names = arm_alone(bound, x)[0].names
     data = {
         "file": parts.relative_to(folder, samples.file),
         "sha256": samples.sha256,

@@ -30,7 +30,7 @@ from casacal.model.problem import Problem
 from casacal.planning.candidates import drawn_touch, pool_of
 from casacal.planning.route import FIT, postures_text, shortest_way
 from casacal.simulation.cell import Cell, Face
-from casacal.uncertainty.fresh_rows import FreshRows, chance, chances, covariance_root, likelihood, occam, seen_basis
+from casacal.uncertainty.fresh_rows import FreshRows, chance, chances, covariance_root, likelihood, occam, visible_basis
 from casacal.values import Array
 
 USUAL = {"rad": 3e-3, "mm": 3.0}
@@ -73,7 +73,7 @@ def causes_of(fresh: Fresh, shifted: BoundProblem) -> tuple[Cause, ...]:
         found.append(Cause(name, name, columns, units, labels[: columns.size]))
     for slot in fresh.bound.slots:
         columns = np.array(slot.columns, dtype=np.intp)
-        if slot.beside or not slot.datum or not columns.size or not fresh.known[columns].all():
+        if slot.term or not slot.datum or not columns.size or not fresh.known[columns].all():
             continue
         names = tuple(name.removeprefix(slot.name).lstrip("._") for name in slot.unknown.names(slot.name))
         found.append(Cause(slot.name, "place", columns, tuple(slot.unknown.units), names))
@@ -218,7 +218,7 @@ class Look:
         whole = shifted.jacobian(np.append(fresh.x, np.zeros(shifted.unknowns - fresh.bound.unknowns)))
         padded = np.vstack([whole, np.zeros((len(rows.residual) - len(whole), whole.shape[1]))])  # priors do not move
         slopes = tuple(rows.whitened(padded[:, cause.columns]) for cause in causes)
-        bases = [seen_basis(each, cause.sizes) for each, cause in zip(slopes, causes, strict=True)]
+        bases = [visible_basis(each, cause.sizes) for each, cause in zip(slopes, causes, strict=True)]
         tests = AllTests(rows, bases, row_bases(rows, samples, fresh.bound.rows // samples), noise_freedom)
         return Look(fresh, shifted, causes, slopes, tests, tests.level(alarm, seed))
 

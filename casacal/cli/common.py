@@ -104,7 +104,7 @@ def add_fresh_rows(parser: argparse.ArgumentParser, standing: str) -> None:
 def fresh_rows(options: argparse.Namespace) -> tuple[CalibratedArm, ProblemFile | None, str | None, Samples]:
     """The result that `add_fresh_rows` names, a problem of another instrument, which instrument it is, and its rows."""
     from casacal.calibration.fresh import measured_by
-    from casacal.deployment.arm import seen_by
+    from casacal.deployment.arm import for_instrument
     from casacal.deployment.result_file import read_result
     from casacal.model.problem_file import load_problem
 
@@ -113,7 +113,7 @@ def fresh_rows(options: argparse.Namespace) -> tuple[CalibratedArm, ProblemFile 
     result = read_result(options.result)
     other = None if options.problem is None else load_problem(options.problem)
     named = options.instrument if other is not None else measured_by(result, options.samples, options.instrument)
-    problem = seen_by(result, named).source.problem if other is None else other.problem
+    problem = for_instrument(result, named).source.problem if other is None else other.problem
     return result, other, named, problem.read(options.samples, readings=options.readings, key=options.id)
 
 
@@ -135,11 +135,11 @@ def spare(outs: Iterable[str | Path], *inputs: str | Path | None, option: str = 
 
 def read_arm(options: argparse.Namespace, *inputs: str | None) -> CalibratedArm:
     """RESULT as --instrument sees it; CasacalError where --out would overwrite it, these, or what it is made from."""
-    from casacal.deployment.arm import seen_by
+    from casacal.deployment.arm import for_instrument
     from casacal.deployment.result_file import read_result
 
     spare([options.out], options.result, *inputs)
-    result = seen_by(read_result(options.result), options.instrument)
+    result = for_instrument(read_result(options.result), options.instrument)
     spare([options.out], result.file, *made_from(result))
     return result
 

@@ -34,15 +34,15 @@ def run(options: argparse.Namespace) -> int:
     """Write a problem folder for a DH table or a URDF; returns 0."""
     from casacal.model.dh_table import BLOCK_FIELDS, unread_keys
     from casacal.model.new import new_from_dh, new_from_urdf
-    from casacal.model.problem_text import Given
+    from casacal.model.problem_text import Answers
 
     sign = None if options.sign is None else int(options.sign)
     tool = None if options.tool is None else _triple(options.tool)
-    given = Given(tool=tool, sign=sign, travel=options.travel, accuracy=options.accuracy)
+    answers = Answers(tool=tool, sign=sign, travel=options.travel, accuracy=options.accuracy)
     if options.dh is not None:
         if options.tip or options.base:
             raise CasacalError("--tip and --base name links of a URDF", "Leave them out with --dh")
-        folder, table = new_from_dh(options.name, options.dh, options.out, given=given)
+        folder, table = new_from_dh(options.name, options.dh, options.out, answers=answers)
         say_paragraphs(f"{table.name}: {len(table.joints)} joints, {table.convention} DH")
         if unread := unread_keys(options.dh):
             known = ", ".join(BLOCK_FIELDS)
@@ -52,12 +52,12 @@ def run(options: argparse.Namespace) -> int:
             say_paragraphs(f"Parallel axes: {axes}; there Hayati's angle beta is calibrated in place of d")
     else:
         tip, base = options.tip, options.base
-        folder, arm = new_from_urdf(options.name, options.urdf, options.out, tip=tip, base=base, given=given)
+        folder, arm = new_from_urdf(options.name, options.urdf, options.out, tip=tip, base=base, answers=answers)
         say_paragraphs(f"{arm.name}: {len(arm.moving)} joints from '{arm.chain[0].parent}' to '{arm.chain[-1].child}'")
     place = folder.as_posix()
-    say_paragraphs(f"Written: {place}", *(f"To fill in: {words}" for words in given.missing))
+    say_paragraphs(f"Written: {place}", *(f"To fill in: {words}" for words in answers.missing))
     following = f"casacal simulate {place} --out out/{options.name}_samples.csv"
-    say_paragraphs(f"Next: {f'fill these in {place}/problem.py, then ' if given.missing else ''}{following}")
+    say_paragraphs(f"Next: {f'fill these in {place}/problem.py, then ' if answers.missing else ''}{following}")
     return DONE
 
 

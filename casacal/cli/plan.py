@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Plan as the options say; returns 0."""
     from casacal.model.problem_file import load_problem
-    from casacal.planning.plan import cell_words, document, told
+    from casacal.planning.plan import cell_words, document, plan_sentences
     from casacal.planning.route import FIT, touches_needed
     from casacal.planning.set_ups import POOL, SetUp, set_ups
 
@@ -84,7 +84,7 @@ def run(options: argparse.Namespace) -> int:
         return DONE
     there = "inside the box" if options.box else "over the workspace" if options.targets is None else "at the targets"
     every, kept = options.setups, clearance is not None
-    said = told(found, compared, where=there, pool=options.pool, after=later, every=every, kept_clear=kept)
+    said = plan_sentences(found, compared, where=there, pool=options.pool, after=later, every=every, kept_clear=kept)
     say_paragraphs(*cell_words(found, source.problem, clearance), *said)
     say_paragraphs(*(f"warning: {each}" for each in warned), *(f"Written: {place}" for place in written))
     named = [] if options.instrument is None else [f"--instrument={options.instrument}"]
@@ -180,7 +180,7 @@ def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clea
     with ExitStack() as sets:  # the folder of the plan is entered first, so that its files are placed last
         for folder in dict.fromkeys(path.parent.resolve() for path in texts):
             some = [path for path in texts if path.parent.resolve() == folder]
-            place = sets.enter_context(together(folder, [path.name for path in reversed(some)], asked=some[0]))
+            place = sets.enter_context(together(folder, [path.name for path in reversed(some)], named=some[0]))
             for path in some:
                 write_text(place / path.name, texts[path])
     return [path.as_posix() for path in texts]

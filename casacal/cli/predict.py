@@ -32,14 +32,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Predict as the options say; returns 0."""
-    from casacal.deployment.arm import told_notes
+    from casacal.deployment.arm import column_notes
     from casacal.deployment.predict import joints_from, predict, write_prediction
 
     result = read_arm(options, options.joints)
     joints = joints_from(options.joints, result.source)
     nominal = options.nominal
     prediction = predict(result, joints, frame=options.frame, nominal=nominal, std=options.std, force=options.force)
-    said = [] if nominal else told_notes(result, prediction.missing, prediction.beyond)
+    said = [] if nominal else column_notes(result, prediction.missing, prediction.beyond)
     care = [] if result.caution is None else [result.caution]
     write_prediction(
         options.out, prediction, ["Of the arm as drawn, not as calibrated."] if nominal else [*care, *said]

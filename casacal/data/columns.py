@@ -20,7 +20,7 @@ Codes: TypeAlias = NDArray[np.int32]
 MANY_ROWS = 100_000  # rows from which lines are numbers in an array rather than Python objects
 
 Dimension: TypeAlias = Literal["length", "angle", "number"]
-"""What the numbers of a column are: in a unit of length, of angle, or plain."""
+"""Dimension of a column's numbers: length, angle, or none."""
 
 
 class Labels(Sequence[str]):
@@ -37,7 +37,7 @@ class Labels(Sequence[str]):
 
     @staticmethod
     def of(values: Iterable[str]) -> Labels:
-        """From one str per row."""
+        """Labels from one str per row."""
         if isinstance(values, Labels):
             return values
         places: dict[str, int] = {}
@@ -51,7 +51,7 @@ class Labels(Sequence[str]):
 
     @staticmethod
     def coded(names: Iterable[str], codes: NDArray[Any]) -> Labels:
-        """From names as they were written, blanks around them taken off, and the number of one of them a row."""
+        """Labels from names, stripped of blanks, and the index of each row's name among them."""
         stripped = [str(name).strip() for name in names]
         places = {name: k for k, name in enumerate(dict.fromkeys(stripped))}
         return Labels(tuple(places), np.array([places[name] for name in stripped], dtype=np.int32)[codes])
@@ -64,7 +64,7 @@ class Labels(Sequence[str]):
         return Labels.coded([name for part in parts for name in part.names], np.concatenate(codes))
 
     def take(self, rows: Index) -> Labels:
-        """Those of some rows."""
+        """Labels of some rows."""
         return Labels(self.names, self.codes[rows])
 
     def rows(self) -> dict[str, Index]:
@@ -130,7 +130,7 @@ class Columns:
 
 
 def combinations(columns: Sequence[Labels], rows: int) -> tuple[list[tuple[str, ...]], Codes]:
-    """Different combinations of labels that rows carry, in order of first appearance; which of them each has."""
+    """Distinct combinations of labels, in order of first appearance, and the index of each row's own (N,)."""
     numbers = np.zeros(rows, dtype=np.int64)
     for column in columns:
         numbers = numbers * len(column.names) + column.codes
@@ -145,7 +145,7 @@ def rows_by_code(codes: NDArray[Any], count: int) -> list[Index]:
 
 
 def _in_order(values: NDArray[Any]) -> tuple[Index, Codes]:
-    """First rows of the different values, in order, and for each row (N,) which of them it has."""
+    """First row of each distinct value, in order, and the index of each row's value (N,) among them."""
     if values.size and values.min() >= 0 and values.max() < 4 * values.size:  # counting is sooner done than sorting
         firsts = np.full(int(values.max()) + 1, values.size, dtype=np.intp)
         np.minimum.at(firsts, values, np.arange(values.size))

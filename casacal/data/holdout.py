@@ -12,7 +12,7 @@ from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.linalg import svd
 from casacal.values import Array, Index, Rows
 
-WAYS = ("rows", "region", "face")  # what is held out together, beside the values of a column
+WAYS = ("rows", "region", "face")  # units that are held out whole, apart from values of a column
 
 
 def split(
@@ -105,7 +105,7 @@ def _whole(samples: Samples, holdout: float, rng: np.random.Generator, by: str, 
 
 
 FACES, REGIONS, INSTRUMENTS = "faces", "regions", "instruments"
-"""Splits that samples have of themselves; further ones have the names of columns."""
+"""Splits of any samples; further ones have the names of label columns."""
 
 MOST_PARTS = 12  # parts of a split; where labels are more, some are left out together
 HALVINGS = 2  # how often the postures are halved into regions

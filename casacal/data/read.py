@@ -1,7 +1,7 @@
-"""One door for rows: whatever form they have, arrays, workbooks, text, a DataFrame, what comes out are named columns.
+"""Readers of rows as named columns from any form: arrays, workbooks, text, a DataFrame.
 
-What is wrong is said in a sentence. Of all zip archives, be they of arrays or workbooks, it is known what they unpack
-to, and bounded, before anything in them is read.
+Errors are refused with a sentence. The unpacked size of zip archives, be they of arrays or workbooks, is bounded before
+anything in them is read.
 """
 
 from __future__ import annotations
@@ -159,7 +159,7 @@ def check_unpacked(path: Path, file: str) -> None:
 
 
 def pieces(path: Path) -> Iterator[bytes]:
-    """All that an archive holds, piece by piece; a member ends where it was declared to."""
+    """Contents of an archive, piece by piece; a member ends where it was declared to."""
     with zipfile.ZipFile(path) as archive:
         for member in archive.infolist():
             with archive.open(member) as stream:
@@ -168,13 +168,13 @@ def pieces(path: Path) -> Iterator[bytes]:
 
 
 WORKBOOKS = (".xlsx", ".xlsm")
-MOST_ROWS = 1 << 20  # of a sheet, whatever its file says
+MOST_ROWS = 1 << 20  # rows of a sheet, whatever its file says
 MOST_TAGS = 1_600_000
-"""In all parts of a workbook, four of them a cell; what is larger takes minutes and gigabytes to read."""
-MOST_OTHER_TAGS = 100_000  # of styles and the like, which take the library longest
+"""Largest number of tags in all parts of a workbook, four a cell; a larger one takes minutes and gigabytes to read."""
+MOST_OTHER_TAGS = 100_000  # tags of styles and the like, which take the library longest
 CELL_TAG = re.compile(rb"</?(?:\w+:)?(?:row|c|v|f|is|si|t)[\s/>]")
 MOST_PLACES = 20_000_000
-"""Of a sheet, most of them empty: one cell that was coloured far to the right makes a row of 16,384."""
+"""Largest number of cells of a sheet, empty ones included: one coloured far to the right makes a row of 16,384."""
 ERRORS = ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A")
 """Error values of spreadsheets; these are no comments."""
 

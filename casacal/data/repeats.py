@@ -21,7 +21,7 @@ MIX = np.int64(0x2545F4914F6CDD1D)  # an odd number of 64 bits whose products lo
 
 @dataclass(frozen=True, eq=False)
 class Repeats:
-    """Which rows repeat one another: the group of each row (N,), and the rows of each group (G,)."""
+    """Repeated rows: the group of each row (N,), and the number of rows in each group (G,)."""
 
     codes: Index
     sizes: Index
@@ -71,7 +71,7 @@ def without_copies(samples: Samples) -> Samples:
 
 
 def _keys(count: int, columns: Iterable[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """One number for each row (N,), by which a million sort at once; two rows share one by a chance of 1e-7."""
+    """Hash of each row (N,), for fast sorting; the chance that two different rows share one is 1e-7."""
     keys = np.zeros(count, dtype=np.int64)
     with np.errstate(over="ignore"):
         for column in columns:
@@ -121,7 +121,7 @@ def is_listing(listed: Mapping[str, Any]) -> bool:
 
 
 def fitted_among(samples: Samples, layout: Layout, listed: Mapping[str, Any]) -> tuple[Rows, float]:
-    """Which rows (N,) are listed ones, and what part of all N are fitted ones: larger where not all were listed.
+    """Mask (N,) of rows that are listed, and the fraction of the N that were fitted: larger where not all are listed.
 
     Rows of an instrument with other columns are never those that were fitted.
     """
@@ -151,12 +151,12 @@ def _near_joints(layout: Layout) -> list[int]:
     return [round(NEAR_JOINT[kind] / GRID[kind]) for kind in layout.joints]
 
 
-def _near_any(known: Array, given: Array, near: Array) -> Rows:
-    """Which of some rows (N, m) are near one of the known ones (M, m), in every number."""
+def _near_any(known: Array, rows: Array, near: Array) -> Rows:
+    """Mask (N,) of rows (N, m) within `near` (m,) of some known row (M, m) in every column."""
     from scipy.spatial import cKDTree  # takes its time, and few ask
 
     scale = near + 0.5  # half a step more is rounding
-    distance, _ = cKDTree(known / scale).query(given / scale, p=np.inf, distance_upper_bound=1.0)
+    distance, _ = cKDTree(known / scale).query(rows / scale, p=np.inf, distance_upper_bound=1.0)
     return np.asarray(np.isfinite(distance))
 
 

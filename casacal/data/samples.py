@@ -43,7 +43,7 @@ LARGEST = {"angle": 20 * math.pi, "length": 1e5, "number": math.inf}
 
 @dataclass(frozen=True)
 class Layout:
-    """Which columns a file must have: what a problem asks of its samples.
+    """Columns that a problem requires of its samples.
 
     further: columns of numbers that terms of the problem ask for, under these very names; a file may lack them.
     """
@@ -73,7 +73,7 @@ def _taken(layout: Layout) -> set[str]:
 
 
 def _nearly(spellings: Sequence[str], header: Sequence[str], taken: Collection[str]) -> str | None:
-    """The column of a header that is nearly called like one of some spellings, among those that are nothing else."""
+    """The unclaimed column of a header whose name is closest to one of some spellings; None where none is close."""
     lower = {spelling.lower() for spelling in spellings}
     alike = [column for column in header if column.lower() in lower]
     if not alike:
@@ -111,8 +111,8 @@ def match_columns(table: Columns, layout: Layout) -> dict[str, tuple[str, float]
         if wrong:
             raise table.refusal(f"the column does not carry a unit known for {name}", f"Call it {wanted}", wrong[0])
         alike = _nearly(tuple(spellings), table.header, taken)
-        seen = f"(did you mean '{alike}'?)" if alike else "among " + ", ".join(table.header[:20])
-        raise table.refusal(f"there is no column for {name} {seen}", f"{'Call it' if alike else 'Add'} {wanted}", alike)
+        hint = f"(did you mean '{alike}'?)" if alike else "among " + ", ".join(table.header[:20])
+        raise table.refusal(f"there is no column for {name} {hint}", f"{'Call it' if alike else 'Add'} {wanted}", alike)
     return found
 
 
@@ -184,8 +184,8 @@ class Samples(Value):
 
     def __repr__(self) -> str:
         read = [*self.columns, *self.labels]
-        beside = f", {short(read)}" if read else ""
-        return f"<{len(self)} samples of {self.file}: {self.joints.shape[1]} joints{beside}>"
+        columns = f", {short(read)}" if read else ""
+        return f"<{len(self)} samples of {self.file}: {self.joints.shape[1]} joints{columns}>"
 
     def _repr_html_(self) -> str:
         """The first rows, rad and mm: what a notebook shows."""
@@ -220,8 +220,8 @@ class Samples(Value):
         if self.joints.ndim != 2 or self.joints.shape[1] != len(layout.joints):
             what = f"the joint values have the shape {self.joints.shape}"
             raise SamplesError(self.file, what, f"Give {len(layout.joints)} per row")
-        for what, have, asked in (("column", self.columns, layout.columns), ("label", self.labels, layout.labels)):
-            for name in asked:
+        for what, have, required in (("column", self.columns, layout.columns), ("label", self.labels, layout.labels)):
+            for name in required:
                 if name not in have:
                     known = short(list(have)) or "none"
                     raise SamplesError(self.file, f"the rows have no {what} '{name}'", f"Give it; they have: {known}")
@@ -258,13 +258,13 @@ class Samples(Value):
     @staticmethod
     def from_arrays(arrays: Mapping[str, Any], layout: Layout, *, source: str = "arrays") -> Samples:
         """Samples from arrays (N,) by the column names of a samples file; raises SamplesError."""
-        given = {str(name): np.asarray(values) for name, values in arrays.items()}
-        given = {name: values.astype(str) if values.dtype == object else values for name, values in given.items()}
-        shapes = {values.shape for values in given.values()}
+        columns = {str(name): np.asarray(values) for name, values in arrays.items()}
+        columns = {name: values.astype(str) if values.dtype == object else values for name, values in columns.items()}
+        shapes = {values.shape for values in columns.values()}
         if len(shapes) != 1 or len(next(iter(shapes))) != 1 or not next(iter(shapes))[0]:
-            found = ", ".join(f"{name} {values.shape}" for name, values in given.items()) or "nothing"
+            found = ", ".join(f"{name} {values.shape}" for name, values in columns.items()) or "nothing"
             raise SamplesError(source, f"the arrays have the shapes {found}", "Give one value per row in each")
-        return Samples.from_columns(columns_of_arrays(given, source, digest_of(given)), layout)
+        return Samples.from_columns(columns_of_arrays(columns, source, digest_of(columns)), layout)
 
     @staticmethod
     def from_table(table: Table, layout: Layout, *, absurd: bool = False) -> Samples:
@@ -343,7 +343,7 @@ def joined(first: Samples, second: Samples) -> Samples:
 
 
 WRITTEN = FrozenMapping({"angle": ("_deg", 180 / math.pi, 7), "length": ("_mm", 1.0, 4), "number": ("", 1.0, 9)})
-"""How a quantity is written: the end of its column's name, the factor from rad or mm, and decimals."""
+"""Format of a written quantity: suffix of its column's name, factor from rad or mm, and decimals."""
 JOINT_DECIMALS = 7
 
 

@@ -22,17 +22,17 @@ from casacal.data.columns import Columns, Labels
 from casacal.errors import SamplesError
 from casacal.wording import counted
 
-MOST_COLUMNS = 16_384  # what a sheet of a spreadsheet holds
-LONGEST_NAME = 200  # of a column, in characters
+MOST_COLUMNS = 16_384  # columns of a spreadsheet's sheet
+LONGEST_NAME = 200  # characters of a column's name
 SEPARATOR = "sep=,", "sep=;", "sep="  # a first line that tells Excel what stands between the cells; a tab is stripped
-NAMES = {",": "commas", ";": "semicolons", "\t": "tabs"}  # of delimiters
+NAMES = {",": "commas", ";": "semicolons", "\t": "tabs"}  # delimiters in words
 NumberedRows = list[tuple[int, list[str]]]
 """Cells of lines, each with its number."""
 
 LINE_END = re.compile(r"\r\n|\n|\r")
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0e-\x1f]")
-UNSHOWN = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")  # what would tear a sentence apart
+UNSHOWN = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")  # would break up a sentence
 
 
 def decode(data: bytes, file: str) -> str:

@@ -25,7 +25,7 @@ from casacal.values import Array, FrozenMapping, Value
 from casacal.wording import listed
 
 TRUTH = "this is the true arm of a simulation, not a calibration"
-FRAMES = ("flange", "tip")  # what a pose may be of: `robot.pose`, or where the instrument touches
+FRAMES = ("flange", "tip")  # frame of a pose: `robot.pose`, or where the instrument touches
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +140,7 @@ def row_constants(result: CalibratedArm, of: Problem) -> Array:
 
 
 def covariance_of(result: CalibratedArm) -> tuple[Array, list[tuple[int, int]]]:
-    """Covariance of the result's unknowns (n, n), and which position of the model's z is which of them."""
+    """Covariance of the result's unknowns (n, n), and the index of each among them by its position in z."""
     covariance, names = named_covariance(result)
     local = [n for key, u in result.source.problem.symbols.unknowns.items() for n in u.names(key)]
     return covariance, [(i, names.index(name)) for i, name in enumerate(local) if name in names]
@@ -185,11 +185,11 @@ def _local(key: str, unknown: Any, result: CalibratedArm, nominal: bool, *, alon
 
 
 NAMED = ("parameters", "unknowns", "without_corrections")  # parts of a result whose entries have the name of an unknown
-OTHERS = "others."  # before the names of what other instruments share
-ALL_ROWS = "plane"  # what a face is called where there is one for all rows
+OTHERS = "others."  # prefix of unknowns that the other instruments share
+ALL_ROWS = "plane"  # label of the face where there is one for all rows
 
 
-def seen_by(arm: CalibratedArm, instrument: str | None = None) -> CalibratedArm:
+def for_instrument(arm: CalibratedArm, instrument: str | None = None) -> CalibratedArm:
     """The arm with one of its instruments, by default the first; itself where it has no other.
 
     Names of that instrument's unknowns lose its own name, as if it were the only one. What the others have for
@@ -236,7 +236,7 @@ def _renamed(part: Mapping[str, Any], own: Callable[[str], str]) -> dict[str, An
     return rows if names is None else {**rows, "covariance_of": [own(each) for each in names]}
 
 
-NOTHING_TOLD: Mapping[str, Array] = FrozenMapping({})
+NO_COLUMNS: Mapping[str, Array] = FrozenMapping({})
 
 MOST_SPANS, FAR_SPANS, NEAR_NOTHING = 10.0, 0.5, 0.02
 """How far from the fitted rows an amount may be, in spans of these: more is refused, or else said; and how little all
@@ -245,7 +245,7 @@ amounts of a file may be, but for none at all."""
 
 @dataclass(frozen=True, eq=False)
 class TellingColumns:
-    """Values of the columns that tell effects, for effects that are corrected by columns.
+    """Values of the columns that drive effects, for effects that are corrected by columns.
 
     columns: by name in the row model, each (N,); their means in the fitted rows where these rows lack them.
     missing: by an effect's words the columns that these rows lack. beyond: a sentence for each column with amounts far
@@ -280,8 +280,8 @@ class TellingColumns:
         return TellingColumns(columns, FrozenMapping(lacking), tuple(beyond), FrozenMapping(away))
 
 
-NOTHING = TellingColumns(NOTHING_TOLD)
-"""Of an arm that no column tells anything."""
+NOTHING = TellingColumns(NO_COLUMNS)
+"""Columns of an arm without effects that columns drive."""
 
 
 def _beyond(rows: Samples, amounts: Mapping[str, Array], ranges: Mapping[str, tuple[float, float]]) -> list[str]:
@@ -309,22 +309,22 @@ def _beyond(rows: Samples, amounts: Mapping[str, Array], ranges: Mapping[str, tu
 
 
 def whole_rows(
-    first: Array, joints: int, names: Sequence[str], told: Mapping[str, Array], elsewhere: Array | float = 0.0
+    first: Array, joints: int, names: Sequence[str], columns: Mapping[str, Array], elsewhere: Array | float = 0.0
 ) -> Array:
-    """Rows (N, n + k) of a row model: the first columns (N, m), told ones (N,) by name, and `elsewhere` in others."""
+    """Rows (N, n + k) of a row model: the first columns (N, m), others (N,) by name, and `elsewhere` in the rest."""
     rows = np.zeros((len(first), joints + len(names)))
     rows[:, joints:] = elsewhere
     rows[:, : first.shape[1]] = first
-    for name, values in told.items():
+    for name, values in columns.items():
         rows[:, joints + names.index(name)] = values
     return rows
 
 
-def told_notes(arm: CalibratedArm, missing: Mapping[str, tuple[str, ...]], beyond: Sequence[str]) -> list[str]:
+def column_notes(arm: CalibratedArm, missing: Mapping[str, tuple[str, ...]], beyond: Sequence[str]) -> list[str]:
     """Sentences on columns that drive effects: corrected, missing, or far beyond the fitted rows."""
     found = arm.found
-    told = [words for key, words in found.called.items() if key in found.effects.further]
-    done = listed([words for words in told if words not in missing])
+    words_of_effects = [words for key, words in found.called.items() if key in found.effects.further]
+    done = listed([words for words in words_of_effects if words not in missing])
     lacking = [
         f"Without {listed(names)}, {words} is corrected as in the fitted rows on average, and what rows differ by "
         "counts as an error; with them, each is corrected by its own."

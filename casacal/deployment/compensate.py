@@ -118,15 +118,15 @@ def targets_from(targets: Any, source: ProblemFile) -> Targets:
 
 
 def _of_table(table: Table, source: ProblemFile) -> Targets:
-    asked, probe = source.problem.layout(), source.problem.instrument.probe
+    required, probe = source.problem.layout(), source.problem.instrument.probe
     if probe is not None and probe.zero_label in table.header:
         what = f"targets cannot be of one {probe.zero_label}: the tip is the tool's point as the problem declares it"
         fix = "Leave out this column, or give targets of the flange without it"
         raise SamplesError(table.file, what, fix, column=probe.zero_label)
     posed = "qw" in table.header
     jointed = not posed or any(name.startswith("q1_") for name in table.header)
-    joints = Samples.from_table(table, Layout(asked.joints, EMPTY)).joints if jointed else None
-    layout = Layout(asked.joints if jointed else (), POSE if posed else EMPTY, further=asked.further)
+    joints = Samples.from_table(table, Layout(required.joints, EMPTY)).joints if jointed else None
+    layout = Layout(required.joints if jointed else (), POSE if posed else EMPTY, further=required.further)
     text = tuple(",".join(row) for row in table.rows)
     extra = FrozenMapping(read_further(table.columns, layout))
     if not posed:
@@ -148,7 +148,7 @@ def rows_with(targets: Targets, which: NDArray[np.intp], joints: Array) -> Sampl
 
 
 class Outcome(Enum):
-    """How a target ended: a closed set of words, and what each means in a sentence."""
+    """Outcome of a target: a closed set of words, each with a sentence that says what it means."""
 
     meaning: str
 
@@ -169,7 +169,7 @@ class Outcome(Enum):
 
 @dataclass(frozen=True)
 class Rounding:
-    """How joint values are written: in degrees (else radians; sliding joints in mm), with so many decimals."""
+    """Format of written joint values: in degrees (else radians; sliding joints in mm), with a number of decimals."""
 
     degrees: bool = True
     decimals: int = 7
@@ -278,28 +278,28 @@ def compensate(
     result.check_usable(force=force)
     _trusted(result, frame)
     still = np.zeros((len(targets), len(drawn.robot.axes)))
-    told = TellingColumns.by(result, rows_with(targets, np.arange(len(targets)), still))
+    extra = TellingColumns.by(result, rows_with(targets, np.arange(len(targets)), still))
     used, local = result.used, local_coordinates(result, of=result.used)
     arm = replace(nominal, local=local)
     if used.terms:
-        arm = PosedArm.of(used, local, frame, row_constants(result, used), told.columns)
+        arm = PosedArm.of(used, local, frame, row_constants(result, used), extra.columns)
     start, positions, rotations = _meant(nominal, targets)
     found: Rows = np.asarray(np.isfinite(start).all(axis=1))
     began = np.where(found[:, None], start, np.mean(nominal.robot.limits, axis=0))
     joints, elsewhere = began.copy(), np.zeros(len(began), dtype=bool)
-    given = positions[found], rotations[found], start[found]
-    joints[found], elsewhere[found] = _solved(arm.of_rows(found), *given, largest)
+    wanted = positions[found], rotations[found], start[found]
+    joints[found], elsewhere[found] = _solved(arm.of_rows(found), *wanted, largest)
     moved = np.abs((joints - began) / joint_units(arm.robot)).max(axis=1)
     jumps: Rows = np.asarray(moved > largest)
     limited = arm.at_limit(joints, positions, rotations) & ~jumps
     beyond: Rows = jumps & (moved <= LARGEST) & arm.takes(joints, positions, rotations)
     joints = rounding(arm, np.where(jumps[:, None] | ~found[:, None], start, joints))
-    place, turn, expected = _proof(result, arm, targets, joints, positions, rotations)
+    miss, turn, expected = _proof(result, arm, targets, joints, positions, rotations)
     cases = (
         (~found, Outcome.UNREACHABLE),
-        (~np.isfinite(place + turn), Outcome.NOT_FINITE),
+        (~np.isfinite(miss + turn), Outcome.NOT_FINITE),
         (_outside(arm, targets), Outcome.OUTSIDE),
-        (arm.within(place, turn) & ~jumps, Outcome.REACHED),
+        (arm.within(miss, turn) & ~jumps, Outcome.REACHED),
         (limited, Outcome.LIMIT),
         (beyond, Outcome.BEYOND),
         (jumps | elsewhere, Outcome.SINGULAR),
@@ -308,7 +308,7 @@ def compensate(
     ended = tuple(cases[i][1] for i in np.argmax([rows for rows, _ in cases], axis=0))  # the first that holds
     before, moved = np.linalg.norm(arm.miss(start, positions, rotations)[0], axis=1), np.where(jumps, 0.0, moved)
     return Compensation(
-        targets, frame, rounding, joints, start, ended, place, turn, before, moved, expected, told.missing, told.beyond
+        targets, frame, rounding, joints, start, ended, miss, turn, before, moved, expected, extra.missing, extra.beyond
     )
 
 
@@ -353,8 +353,8 @@ def _solved(arm: PosedArm, positions: Array, rotations: Array, start: Array, lar
         stuck = np.flatnonzero(~arm.takes(joints, positions, rotations) & ~jumped)
         if not stuck.size:
             break
-        beside = start[stuck] + SCATTER * joint_units(arm.robot) * rng.uniform(-1, 1, (len(stuck), start.shape[1]))
-        again = arm.of_rows(stuck).reach(positions[stuck], rotations[stuck], beside, steps=STEPS)
+        scattered = start[stuck] + SCATTER * joint_units(arm.robot) * rng.uniform(-1, 1, (len(stuck), start.shape[1]))
+        again = arm.of_rows(stuck).reach(positions[stuck], rotations[stuck], scattered, steps=STEPS)
         arrived = arm.of_rows(stuck).takes(again, positions[stuck], rotations[stuck])
         near = np.abs((again - start[stuck]) / joint_units(arm.robot)).max(axis=1) <= largest
         joints[stuck[arrived & near]] = again[arrived & near]
@@ -367,7 +367,7 @@ def _proof(
 ) -> tuple[Array, Array, Array]:
     """Miss (mm; rad) and standard deviation (mm) of the calibrated robot at joint values, by `predict` alone."""
     denied = result.denial is not None
-    place, turn, spread = (np.full(len(joints), np.nan) for _ in range(3))
+    miss, turn, spread = (np.full(len(joints), np.nan) for _ in range(3))
     missed = arm.miss(joints, positions, rotations)[:2]
     sound = np.flatnonzero(np.isfinite(np.hstack(missed)).all(axis=1))
     if sound.size:
@@ -375,10 +375,10 @@ def _proof(
         # nothing is expected of a result that is not to be used
         prediction = predict(result, samples, frame=arm.frame, std=not denied, force=True)
         turns = turns_of(prediction.quaternions)
-        place[sound] = np.linalg.norm(prediction.positions - positions[sound], axis=1)
+        miss[sound] = np.linalg.norm(prediction.positions - positions[sound], axis=1)
         turn[sound] = np.linalg.norm(turning(turns @ rotations[sound].transpose(0, 2, 1)), axis=1)
         spread[sound] = np.nan if denied else prediction.std
-    return place, turn, spread
+    return miss, turn, spread
 
 
 def _outside(arm: PosedArm, targets: Targets) -> Rows:

@@ -176,7 +176,7 @@ def _origins(arm: DHTable | UrdfChain, p: Any, conventions: Conventions) -> tupl
 
 
 def _is_built_like_one(origins: list[Array]) -> bool:
-    """Whether the drawn axes are a UR's: 2, 3 and 4 parallel, the others at right angles."""
+    """Whether the drawn axes are those of a UR: 2, 3 and 4 parallel, the others at right angles."""
     crossed = np.array([abs(origin[2, 2]) for origin in origins[1:]])  # cosines between each axis and the next
     return bool((np.abs(np.arccos(np.minimum(crossed, 1.0)) - np.arccos([0, 1, 1, 0, 0])) <= NEARLY).all())
 
@@ -273,13 +273,13 @@ def _numbers(values: tuple[float, ...]) -> bytes:
 
 
 def _tag_end(data: bytes, start: int) -> int:
-    """Where the start tag that begins at `start` ends; quotes may hold a >."""
+    """End of the start tag that begins at `start`; quotes may hold a >."""
     found = re.compile(rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>""").match(data, start)
     return found.end() if found else len(data)
 
 
 def _places(data: bytes) -> tuple[dict[str, int], dict[str, int]]:
-    """Where the joints of a URDF, and where their origins begin, in bytes."""
+    """Positions, in bytes, of the joints of a URDF and of their origins."""
     joints, origins, path = dict[str, int](), dict[str, int](), list[tuple[str, str]]()
     parser = expat.ParserCreate()
 

@@ -24,8 +24,8 @@ def pose_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fal
     """Function q (n; rad, mm) -> flange pose (4x4; mm) of an arm as calibrated.
 
     Where columns tell effects that can then be corrected, such as torques, their values are a second input, `told`
-    (k), in the order of `told_names`. nominal: as drawn in place of as calibrated. free: the robot's parameters are
-    inputs too, by name and before q; `values_of` gives what they are. Effects beside the geometry are then no part.
+    (k), in the order of `further_columns`. nominal: as drawn in place of as calibrated. free: the robot's parameters
+    are inputs too, by name and before q, with values by `values_of`. Effects beside the geometry are then no part.
     force: take a result whose verdict is not to use it; the function's name then says so.
 
     Raises CasacalError when both nominal and free are asked for, RefusedResultError for a result not to be used.
@@ -41,20 +41,20 @@ def pose_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fal
     return row_function(f"pose{said}", [*inputs.values()], [pose_at(arm, *inputs.values())], [*inputs])
 
 
-def told_names(arm: CalibratedArm) -> tuple[str, ...]:
+def further_columns(arm: CalibratedArm) -> tuple[str, ...]:
     """The columns whose values are the input `told`, in order; none where no column tells an effect."""
     return tuple(name for names in arm_from(arm).found.effects.further.values() for name in names)
 
 
 def inputs_of(arm: CalibratedArm, q: ca.SX) -> dict[str, ca.SX]:
-    """Joint values, and what columns tell, where they do."""
-    count = len(told_names(arm))
+    """Inputs by name: joint values, and values of the further columns where there are any."""
+    count = len(further_columns(arm))
     return {"q": q, "told": ca.SX.sym("told", count)} if count else {"q": q}
 
 
-def _row(arm: CalibratedArm, problem: Problem, q: ca.SX, told: ca.SX | None = None) -> ca.SX:
-    """The row d (nd) at readings of zero: joint values, and what columns tell in the places of their effects."""
-    columns, values = dict[str, Any](), ca.vertsplit(told) if told is not None else []
+def _row(arm: CalibratedArm, problem: Problem, q: ca.SX, further: ca.SX | None = None) -> ca.SX:
+    """The row d (nd) at readings of zero: joint values, and the values (k) of further columns in their places."""
+    columns, values = dict[str, Any](), ca.vertsplit(further) if further is not None else []
     site = Site(problem.robot, problem.instrument)
     effects = {effect.key: effect for effect in problem.terms}
     for key, names in arm.found.effects.further.items():
@@ -63,13 +63,13 @@ def _row(arm: CalibratedArm, problem: Problem, q: ca.SX, told: ca.SX | None = No
     return ca.vertcat(q, *(columns.get(name, 0) for name in problem.symbols.columns))
 
 
-def pose_at(arm: CalibratedArm, q: ca.SX, told: ca.SX | None = None) -> ca.SX:
-    """Flange pose (4x4; mm) as calibrated at joint values (n; rad, mm) and `told` (k), as `told_names` has it."""
+def pose_at(arm: CalibratedArm, q: ca.SX, further: ca.SX | None = None) -> ca.SX:
+    """Flange pose (4x4; mm) as calibrated at joint values (n; rad, mm) and values (k) of `further_columns`."""
     problem = arm.used
     if not problem.terms:
         return ca.SX(problem.robot.pose(arm_values(arm), q))
     z, c = ca.DM(local_coordinates(arm, of=problem)), ca.DM(row_constants(arm, problem))
-    return ca.reshape(problem.symbols.functions["pose"](z, c, _row(arm, problem, q, told)), 4, 4)
+    return ca.reshape(problem.symbols.functions["pose"](z, c, _row(arm, problem, q, further)), 4, 4)
 
 
 def tip_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = False, force: bool = False) -> ca.Function:
@@ -84,7 +84,7 @@ def tip_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fals
     q = ca.SX.sym("q", len(arm.source.problem.robot.axes))
     problem = arm.source.problem.without_terms if nominal else arm.used
     inputs = {"q": q} if nominal else inputs_of(arm, q)
-    d = ca.vertcat(q, ca.DM.zeros(len(problem.symbols.columns))) if nominal else _row(arm, problem, **inputs)
+    d = ca.vertcat(q, ca.DM.zeros(len(problem.symbols.columns))) if nominal else _row(arm, problem, *inputs.values())
     z = local_coordinates(arm, nominal=nominal, of=problem)
     tip = problem.symbols.functions["tip"](z, ca.DM(row_constants(arm, problem)), d)
     return row_function(f"tip{said}", [*inputs.values()], [tip], [*inputs])
@@ -125,11 +125,11 @@ def casadi_text(arm: CalibratedArm) -> str:
         return (Path(folder) / "arm").read_text(encoding="ascii")
 
 
-def _begun(given: CalibratedArm, nominal: bool, free: bool, force: bool) -> tuple[CalibratedArm, str]:
-    """The arm, and what the name of a function of it says of its verdict; refused where it is not to be used."""
+def _begun(source: CalibratedArm, nominal: bool, free: bool, force: bool) -> tuple[CalibratedArm, str]:
+    """The arm, and the suffix of a function's name for a forced verdict; refused where the arm is not to be used."""
     if nominal and free:
         raise CasacalError("Free parameters are neither nominal nor calibrated", "Leave out nominal or free")
-    arm = arm_from(given)
+    arm = arm_from(source)
     if nominal or free:
         return arm, ""
     arm.check_usable(force=force)
@@ -200,7 +200,7 @@ def c_text(result: CalibratedArm, *, prefix: str | None = None) -> str:
     generator = ca.CodeGenerator(f"{prefix}_code", {"with_header": False})
     for function in functions:
         generator.add(function)
-    count, told = functions[0].numel_in(0), len(told_names(result))
+    count, further = functions[0].numel_in(0), further_columns(result)
     values = {
         "prefix": prefix,
         "count": count,
@@ -209,9 +209,9 @@ def c_text(result: CalibratedArm, *, prefix: str | None = None) -> str:
         "results": max(f.sz_res() for f in functions),
         "lever": LEVER,
         "name": _comment(result.source.problem.robot.name),
-        "also": f" const double told[{told}]," if told else "",
-        "means": "" if not told else f" told: {_comment(', '.join(told_names(result)))}, as in the samples.\n *",
-        "pass_on": ", told" if told else "",
+        "also": f" const double told[{len(further)}]," if further else "",
+        "means": "" if not further else f" told: {_comment(', '.join(further))}, as in the samples.\n *",
+        "pass_on": ", told" if further else "",
         "remarks": "\n".join(f" * {_comment(line)}" for line in remark(result)),
     }
     return HEAD.format(**values) + generator.dump() + WRAPPERS.format(**values)
@@ -240,7 +240,7 @@ def c_functions(result: CalibratedArm, prefix: str) -> list[ca.Function]:
     inputs = [known, known, [*known, target, damping]]
     outputs = [[ca.vec(pose.T)], [ca.vec(jacobian.T)], [q + step, error]]
     names = (f"{prefix}_pose_raw", f"{prefix}_jacobian_raw", f"{prefix}_step_raw")
-    return [row_function(name, given, made) for name, given, made in zip(names, inputs, outputs, strict=True)]
+    return [row_function(name, arguments, made) for name, arguments, made in zip(names, inputs, outputs, strict=True)]
 
 
 def _comment(text: str) -> str:

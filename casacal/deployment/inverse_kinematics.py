@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from casacal.deployment.arm import NOTHING_TOLD
+from casacal.deployment.arm import NO_COLUMNS
 from casacal.kernels.block_rows import BLOCK, Batch
 from casacal.model.problem import Problem
 from casacal.model.robot import AXIS_WEIGHT, Robot, joint_units, random_joints
@@ -31,14 +31,14 @@ GIVEN_UP = 1e9  # damping at which no step helps any more
 
 @dataclass(frozen=True)
 class PosedArm:
-    """A robot whose unknowns stand at `local` coordinates: where its flange or tip is, and the slopes by the joints."""
+    """A robot whose unknowns stand at `local` coordinates: pose of its flange or tip, and slopes by the joints."""
 
     robot: Robot
     evaluate: Batch
     local: Array
     frame: Literal["flange", "tip"]
-    told: Array
-    """Columns (N, k) that rows tell of effects; an arm that is told none takes any rows."""
+    columns: Array
+    """Columns (N, k) of the rows that drive effects; an arm without any takes any number of rows."""
 
     @staticmethod
     def of(
@@ -46,13 +46,13 @@ class PosedArm:
         local: Array,
         frame: Literal["flange", "tip"] = "flange",
         constants: Array | None = None,
-        told: Mapping[str, Array] = NOTHING_TOLD,
+        columns: Mapping[str, Array] = NO_COLUMNS,
     ) -> PosedArm:
-        """Compile at `local` (nz,), row constants c (nc,), zero by default, and told columns (N,); reading zero."""
+        """Compile at `local` (nz,), row constants c (nc,), zero by default, and columns (N,) by name; reading zero."""
         model, n = problem.model, len(problem.robot.axes)
         c = ca.DM.zeros(model.pose.size_in(1)) if constants is None else ca.DM(constants)
         z, q = ca.SX.sym("z", model.pose.numel_in(0)), ca.SX.sym("q", n)
-        symbols = {name: ca.SX.sym(name) for name in told}
+        symbols = {name: ca.SX.sym(name) for name in columns}
         row = ca.vertcat(q, *(symbols.get(name, 0) for name in model.names))
         pose = ca.reshape(model.pose(z, c, row), 4, 4)
         place, turn = (model.tip(z, c, row) if frame == "tip" else pose[:3, 3]), pose[:3, :3]
@@ -61,19 +61,19 @@ class PosedArm:
         omega = ca.horzcat(*(ca.vertcat(rate[2, 1], rate[0, 2], rate[1, 0]) for rate in rates))
         outputs = [place, ca.vec(turn.T), ca.vec(ca.vertcat(ca.jacobian(place, q), omega).T)]
         made = Batch(row_function("pose", [z, ca.vertcat(q, *symbols.values())], outputs))
-        return PosedArm(problem.robot, made, local, frame, np.array([*told.values()]).T)
+        return PosedArm(problem.robot, made, local, frame, np.array([*columns.values()]).T)
 
     def of_rows(self, rows: NDArray[Any]) -> PosedArm:
-        """The arm with the told columns of some rows (M,)."""
-        return replace(self, told=self.told[rows]) if self.told.size else self
+        """The arm with the columns of some rows (M,)."""
+        return replace(self, columns=self.columns[rows]) if self.columns.size else self
 
     def __call__(self, joints: Array) -> tuple[Array, Array, Array]:
         """Positions (N, 3; mm), rotations (N, 3, 3), slopes (N, 6, n): velocity, then angular velocity, by joint."""
         count, n = joints.shape
         # widths in whole blocks or powers of two: a mapped function of every width would be built otherwise
         width = -(-count // BLOCK) * BLOCK if count > BLOCK else 1 << max(count - 1, 0).bit_length()
-        given = np.hstack([joints, self.told]) if self.told.size else joints
-        padded = np.concatenate([given, np.zeros((width - count, given.shape[1]))])
+        row = np.hstack([joints, self.columns]) if self.columns.size else joints
+        padded = np.concatenate([row, np.zeros((width - count, row.shape[1]))])
         place, turn, slope = (output[:count] for output in self.evaluate(self.local, padded))
         return place, turn.reshape(-1, 3, 3), slope.reshape(-1, 6, n)
 
@@ -165,7 +165,7 @@ def postures(arm: PosedArm, positions: Array, rotations: Array) -> Array:
     from scipy.spatial import KDTree
 
     bank = random_joints(arm.robot, BANK, np.random.default_rng(0))
-    tree, asked = KDTree(_where(*arm(bank)[:2])), _where(positions, rotations)
+    tree, targets = KDTree(_where(*arm(bank)[:2])), _where(positions, rotations)
     reach = BEYOND * np.linalg.norm(tree.data[:, :3], axis=1).max()
     found: list[Array] = [np.zeros((0, bank.shape[1]))] * len(positions)
 
@@ -177,10 +177,10 @@ def postures(arm: PosedArm, positions: Array, rotations: Array) -> Array:
         for row, some, good in zip(rows, joints.reshape(starts.shape), taken, strict=True):
             found[row] = np.concatenate([found[row], some[good]])
 
-    first, rows = 0, np.flatnonzero(np.linalg.norm(asked[:, :3], axis=1) <= reach)
+    first, rows = 0, np.flatnonzero(np.linalg.norm(targets[:, :3], axis=1) <= reach)
     for starts in ROUNDS:
         if rows.size:
-            try_from(rows, bank[tree.query(asked[rows], k=first + starts)[1][:, first:]])
+            try_from(rows, bank[tree.query(targets[rows], k=first + starts)[1][:, first:]])
         first, rows = first + starts, np.array([row for row in rows if not len(found[row])], dtype=np.intp)
     chosen = _one_branch(arm, found)
     for _ in range(SWEEPS):

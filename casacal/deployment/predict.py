@@ -13,8 +13,8 @@ from casacal.data.read import is_frame, read_columns, table_of_frame
 from casacal.data.samples import Layout, Samples
 from casacal.deployment.arm import (
     FRAMES,
+    NO_COLUMNS,
     NOTHING,
-    NOTHING_TOLD,
     CalibratedArm,
     TellingColumns,
     all_motion,
@@ -38,7 +38,7 @@ from casacal.values import Array, Value, frozen
 
 @dataclass(frozen=True, eq=False)
 class Moved:
-    """A model of the arm with all that moves it, z (nz,) at the result, and which of z (k,) are known how well (k, k).
+    """A model of the arm with all that moves it, z (nz,) at the result, and the covariance (k, k) of some of z (k,).
 
     names: of these (k,). off: by how much these (k,) are elsewhere than the arm is said to be. elsewhere: columns of a
     row at any posture. constants: c (nc,) of the model.
@@ -79,7 +79,7 @@ def moved_arm(result: CalibratedArm) -> Moved:
 
 @dataclass(frozen=True)
 class RowZeros:
-    """Where the dial of each row was set to zero: unknown by name, the dial's sign, the prior of any zero, mm."""
+    """The dial's zero of each row: name of its unknown, the dial's sign, the prior of any zero, mm."""
 
     names: list[str]
     sign: int
@@ -87,7 +87,7 @@ class RowZeros:
 
     @staticmethod
     def of(instrument: Instrument, joints: Samples, known: Collection[str]) -> RowZeros | None:
-        """Of rows that name their sessions; None where they name none, or the zero was set once.
+        """Zeros of rows that name their sessions; None where they name none, or the zero was set once.
 
         known: unknowns that a result has. One of rows that named no session knows one zero, which is that of all rows.
         Raises CasacalError for readings of which nothing says when the dial was set.
@@ -109,18 +109,18 @@ class RowZeros:
 
 
 def position_stds(
-    result: CalibratedArm, data: Array, frame: str, zeros: RowZeros | None, told: TellingColumns = NOTHING
+    result: CalibratedArm, data: Array, frame: str, zeros: RowZeros | None, extra: TellingColumns = NOTHING
 ) -> Array:
     """Standard deviation (N,) of the position, mm, all axes together, apart from the position of the base.
 
-    Where it stands is what a rigid motion fitted over the workspace takes out. Effects beside the geometry that are not
-    corrected count as errors, by what they do and by how well that is known. told: what rows tell of effects; a column
-    that stands at its mean is off by its standard deviation in the fitted rows.
+    A rigid motion fitted over the workspace is taken out for the base. Effects beside the geometry that are not
+    corrected count as errors, by their size and its uncertainty. extra: columns that drive effects; one that stands at
+    its mean is off by its standard deviation in the fitted rows.
     """
     arm, joints = moved_arm(result), workspace_joints(result.source.problem.robot)
     names, n = arm.model.names, joints.shape[1]
-    data = whole_rows(data, n, names, told.columns, arm.elsewhere)
-    joints = whole_rows(joints, n, names, NOTHING_TOLD, arm.elsewhere)
+    data = whole_rows(data, n, names, extra.columns, arm.elsewhere)
+    joints = whole_rows(joints, n, names, NO_COLUMNS, arm.elsewhere)
     squares, sign = np.zeros(len(data)), 0 if zeros is None else zeros.sign
     whole, known = all_motion(result)
     workspace = _field(arm, joints, frame, sign)
@@ -133,7 +133,7 @@ def position_stds(
             off, rows = None if arm.off is None else np.append(arm.off, 0.0), np.array(zeros.names) == zero
         moves = up_to_base(*_field(arm, data[rows], frame, sign), *workspace)
         squares[rows] = (tip_stds(covariance, moves, off) ** 2).sum(axis=1)
-    for name, deviation in told.deviations.items():
+    for name, deviation in extra.deviations.items():
         moved = data.copy()
         moved[:, n + list(names).index(name)] += deviation
         squares += ((_field(arm, moved, frame)[1] - _field(arm, data, frame)[1]) ** 2).sum(axis=1)
@@ -200,14 +200,14 @@ def joints_from(q: Any, source: ProblemFile) -> Samples:
     if not isinstance(q, (str, Path)) and not is_frame(q):
         return Samples.of_joints(joint_values(q, source.problem.robot))
     columns = read_columns(q) if isinstance(q, (str, Path)) else table_of_frame(q).columns
-    asked, probe = source.problem.layout(), source.problem.instrument.probe
+    required, probe = source.problem.layout(), source.problem.instrument.probe
     present = {
         name: dimension
-        for name, dimension in asked.columns.items()
+        for name, dimension in required.columns.items()
         if any(column == name or column.startswith(f"{name}_") for column in columns.header)
     }
     zero = tuple(name for name in columns.header if probe is not None and name == probe.zero_label)
-    return Samples.from_columns(columns, Layout(asked.joints, present, zero, further=asked.further))
+    return Samples.from_columns(columns, Layout(required.joints, present, zero, further=required.further))
 
 
 def predict(
@@ -248,13 +248,13 @@ def predict(
         raise UnknownNameError("frame", str(frame), FRAMES)
     denial = None if nominal else result.denial
     result.check_usable(force=force or nominal)
-    told = NOTHING if nominal else TellingColumns.by(result, joints)
+    extra = NOTHING if nominal else TellingColumns.by(result, joints)
     problem = result.source.problem.without_terms if nominal else result.used
     model, instrument = problem.model, problem.instrument
     z = local_coordinates(result, nominal=nominal, of=problem)
     n = joints.joints.shape[1]
     read = {name: joints.columns[name] for name in instrument.columns if name in joints.columns}
-    data = whole_rows(joints.joints, n, model.names, {**read, **told.columns})
+    data = whole_rows(joints.joints, n, model.names, {**read, **extra.columns})
     known, constants = n + len(instrument.columns) + len(instrument.known_columns), row_constants(result, problem)
     poses = stacked_poses(model.batch.pose(z, constants, data)[0])
     positions = model.batch.tip(z, constants, data)[0] if frame == "tip" else poses[:, :3, 3]
@@ -266,8 +266,8 @@ def predict(
         positions = positions + shifts * zeros.sign * model.batch.plunger(z, constants, data)[0]
     if std and nominal:
         raise CasacalError("The nominal arm has no standard deviation", "Leave out --nominal or --std")
-    spread = position_stds(result, data[:, :known], frame, zeros, told) if std else None
-    return Prediction(positions, quaternions_of(poses[:, :3, :3]), spread, unseen, told.missing, told.beyond, denial)
+    spread = position_stds(result, data[:, :known], frame, zeros, extra) if std else None
+    return Prediction(positions, quaternions_of(poses[:, :3, :3]), spread, unseen, extra.missing, extra.beyond, denial)
 
 
 def write_prediction(path: str | Path, prediction: Prediction, remarks: Sequence[str] = ()) -> None:

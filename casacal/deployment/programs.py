@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casacal.deployment.arm import TRUTH, CalibratedArm, told_notes
+from casacal.deployment.arm import TRUTH, CalibratedArm, column_notes
 from casacal.deployment.compensate import Compensation, Outcome, Rounding
 from casacal.deployment.inverse_kinematics import torn
 from casacal.errors import CasacalError, refuse_unknown
@@ -102,7 +102,7 @@ CSV = "csv"
 
 
 def rounding_of(form: str, robot: Robot) -> Rounding:
-    """How a form writes joint values; raises CasacalError for a robot whose joints its language does not hold."""
+    """Rounding of joint values in a form; raises CasacalError for a robot whose joints its language does not hold."""
     refuse_unknown("form of targets", [form], (CSV, *LANGUAGES))
     if form == CSV:
         return Rounding()
@@ -152,7 +152,7 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
             f"{_figures(compensation.expected_mm[reached], 'mm')}; standard deviation, apart from the position of the "
             f"base, which must be taught"
         )
-    lines += told_notes(result, compensation.missing, compensation.beyond)
+    lines += column_notes(result, compensation.missing, compensation.beyond)
     if len(robot.axes) < 6:
         lines.append("fewer than six joints: position first, the orientation as near as the position allows")
     if targets.poses is not None and targets.joints is None:

@@ -15,7 +15,7 @@ from casacal.model.urdf import UrdfChain
 TAKES_COLUMNS = ("c", "casadi")  # forms with an input for what columns tell of effects
 
 MARK = "casacal: "
-"""What begins each of these lines, so that they are replaced and not piled up when a file is written back again."""
+"""Prefix of each of these lines, by which they are replaced when a file is written back again."""
 
 
 def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:

@@ -55,7 +55,7 @@ TIP_ERRORS = ("expected", "prior", "flange_expected", "flange_prior")
 
 @dataclass(frozen=True, eq=False)
 class FaceNoise(Value):
-    """Noise of a face, mm: as stated, as used, and as used but for what the joints do not repeat."""
+    """Noise of a face, mm: as stated, as used, and as used without joint repeatability."""
 
     stated_mm: float
     used_mm: float
@@ -64,7 +64,7 @@ class FaceNoise(Value):
 
 @dataclass(frozen=True, eq=False)
 class NoiseFound(Value):
-    """Noise over what was stated with its 95 % interval, by face, and what joints do not repeat, rad."""
+    """Noise over stated noise with its 95 % interval, noise by face, and joint repeatability, rad."""
 
     ratio: float
     low: float

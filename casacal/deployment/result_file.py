@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from casacal.data.repeats import is_listing
-from casacal.deployment.arm import CalibratedArm, seen_by
+from casacal.deployment.arm import CalibratedArm, for_instrument
 from casacal.deployment.as_data import problem_from
 from casacal.errors import CasacalError, came
 from casacal.files import BY, jsonable, recover
@@ -122,7 +122,7 @@ TYPES: Mapping[str, Callable[[Any], bool]] = {
 
 
 def misfits(schema: Mapping[str, Any], value: Any, path: Way = ()) -> Iterator[tuple[Way, Any]]:
-    """Where a value does not fit what result.schema.json uses of JSON Schema: the way there, and what stands there."""
+    """Violations of result.schema.json in a value: the path to each, and the value there."""
     if "$ref" in schema:
         schema = {**_schema()["$defs"][schema["$ref"].rpartition("/")[2]], **schema}
     kinds = schema.get("type", ())
@@ -183,11 +183,11 @@ def check_seal(file: str, document: Mapping[str, Any]) -> None:
 
 
 def _digest(document: Mapping[str, Any], keys: Sequence[str]) -> str:
-    told = [list(keys), {key: document[key] for key in keys if key in document}]
-    return hashlib.sha256(json.dumps(told, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+    guarded = [list(keys), {key: document[key] for key in keys if key in document}]
+    return hashlib.sha256(json.dumps(guarded, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
-SCHEMA = 2  # of the files that this version writes. Those without a number are older: they need their problem.py
+SCHEMA = 2  # version of the files written now. Those without a number are older: they need their problem.py
 LARGEST_SOURCE = 100_000_000  # bytes beyond which a file is none that an arm was made from
 
 
@@ -277,7 +277,7 @@ def _same_code(path: Path, one: str, other: str) -> bool:
 
 
 def _same_arm(path: Path, arm: Arm | None) -> bool:
-    """Whether a URDF or a DH table says what it said, whatever its comments and its layout."""
+    """Whether a URDF or a DH table is the same but for comments and layout."""
     from casacal.model.urdf import UrdfChain
 
     try:
@@ -316,10 +316,10 @@ def _check_nominal(file: str, source: ProblemFile, document: Mapping[str, Any]) 
                 raise CasacalError(what, "Calibrate again, or restore the file that the problem reads")
 
 
-def arm_from(given: Any) -> CalibratedArm:
-    """The arm that was given, or that of a calibration, as its first instrument sees it; raises CasacalError."""
-    arm = given if isinstance(given, CalibratedArm) else getattr(given, "arm", None)
+def arm_from(source: Any) -> CalibratedArm:
+    """The arm itself, or that of a calibration, with its first instrument; raises CasacalError."""
+    arm = source if isinstance(source, CalibratedArm) else getattr(source, "arm", None)
     if not isinstance(arm, CalibratedArm):
         fix = "Give a calibration, or what casacal.load or casacal.deployment.read_result returns"
-        raise CasacalError(f"Got {came(given)} as the calibrated arm", fix)
-    return seen_by(arm)
+        raise CasacalError(f"Got {came(source)} as the calibrated arm", fix)
+    return for_instrument(arm)

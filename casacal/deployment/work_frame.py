@@ -1,4 +1,4 @@
-"""A work object's frame from what was touched: three faces, or three points, as controllers write it."""
+"""A work object's frame from three touched faces or points, as controllers write it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from casacal.deployment.arm import (
-    NOTHING_TOLD,
+    NO_COLUMNS,
     CalibratedArm,
     covariance_of,
     local_coordinates,
@@ -30,7 +30,7 @@ from casacal.values import Array, Value
 SKEW = math.sin(math.radians(5.0))
 """Sine of the angle below which faces are parallel, or points on a line, and fix no frame."""
 
-STEP = 1e-6  # of a tilt (rad) or an offset (mm), for slopes
+STEP = 1e-6  # step of a tilt (rad) or an offset (mm), for slopes
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,11 +185,11 @@ def _of_points(points: Array) -> Array:
 
 
 def _base(result: CalibratedArm, origin: Array, count: int) -> Array:
-    """Less the base's shift (3, mm) at the origin and turn (3, rad) with each unknown of the result: (6, count)."""
+    """Minus the derivative (6, count) of the base's shift at the origin (mm) and turn (rad) by each unknown."""
     # the base's move is the rigid motion that fits those of the tips over the workspace best
     problem = result.source.problem.without_terms
     model, joints = problem.model, workspace_joints(problem.robot)
-    rows = whole_rows(joints, joints.shape[1], model.names, NOTHING_TOLD)
+    rows = whole_rows(joints, joints.shape[1], model.names, NO_COLUMNS)
     local, constants = local_coordinates(result, of=problem), row_constants(result, problem)
     tips, field = model.batch.tip_jacobian(local, constants, rows)
     pairs = covariance_of(result)[1]

@@ -1,4 +1,4 @@
-"""Joints that give: under a weight at the flange, under those of the links beyond them, or under measured torques."""
+"""Joint compliance: to a weight at the flange, to the weights of the links beyond a joint, or to measured torques."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MASS = "payload"  # column of a row model
 APART = 0.5  # by how much of what all give one joint gives more or less than the others
 
 LEAST_SAG = 1.0
-"""Sag (mm) below which joints that give by a radian per metre carry no weight, as those of an upright SCARA."""
+"""Sag (mm) at 1 rad per metre of lever below which joints carry no weight, as those of an upright SCARA."""
 
 POSTURES = 64  # joint values over which an arm's sag is averaged
 
@@ -54,10 +54,10 @@ class Loaded(Effect):
         if not isinstance(self.payload, str):
             fix = "Name the column that holds it, such as 'payload_kg'"
             raise ProblemError(f"Got {self.payload!r} as the payload", fix)
-        given = np.asarray(self.down)
-        if given.shape != (3,) or given.dtype.kind not in "if" or not 0 < np.linalg.norm(given) < np.inf:
+        direction = np.asarray(self.down)
+        if direction.shape != (3,) or direction.dtype.kind not in "if" or not 0 < np.linalg.norm(direction) < np.inf:
             raise ProblemError(f"Gravity points along {self.down!r}", "Give three numbers, such as down=(0, 0, -1)")
-        object.__setattr__(self, "down", tuple((given / np.linalg.norm(given)).tolist()))
+        object.__setattr__(self, "down", tuple((direction / np.linalg.norm(direction)).tolist()))
 
     @property
     def further(self) -> tuple[str, ...]:
@@ -70,7 +70,7 @@ class Loaded(Effect):
         return (MASS,) if self.payload else ()
 
     def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
-        """As the rows say (N,), kg; raises ProblemError, SamplesError where they do not."""
+        """Payload of each row (N,), kg; raises ProblemError, SamplesError where rows do not hold it."""
         del site
         if not self.payload:
             return {}
@@ -83,7 +83,7 @@ class Loaded(Effect):
 
 @dataclass(frozen=True, kw_only=True)
 class GravitySag(Loaded):
-    """Joints that give under a weight: each in proportion to the lever of that weight about it.
+    """Joint compliance under a weight: each joint deflects in proportion to the lever of that weight about it.
 
     The weight hangs at the flange or at the tip, or between; all joints give alike, and each a little differently.
 
@@ -99,9 +99,9 @@ class GravitySag(Loaded):
     words = "gravity sag"
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
-        """What all turning joints give to a weight at flange and tip, then each beside it, rad per metre of lever.
+        """Compliance of all turning joints to a weight at flange and at tip, then each joint's own; rad per m of lever.
 
-        With a payload then what all give to `LOAD` kilograms at the tip, and each beside it.
+        With a payload, then the same for `LOAD` kilograms at the tip.
         """
         turns = site.robot.revolute
         postures = random_joints(site.robot, POSTURES, np.random.default_rng(0))
@@ -116,7 +116,7 @@ class GravitySag(Loaded):
         return {self.key: weighted(weights, self.size, "rad")}
 
     def joints(self, here: Here) -> Expression:
-        """u dh/dq, h the way of flange and tip along gravity, in metres."""
+        """Joint deflections u dh/dq, h the height of flange and tip along gravity, in metres."""
         u, count = getattr(here.p, self.key), int(here.robot.revolute.sum())
         at_zero = SimpleNamespace(**{**vars(here.row), **dict.fromkeys(here.instrument.columns, 0.0)})  # of readings
         places = (position(here.pose), here.instrument.tip(here.pose, here.p, at_zero))
@@ -126,8 +126,8 @@ class GravitySag(Loaded):
             load = getattr(here.row, MASS) / LOAD
             at_tip = [own + load * (u[2 + count] + u[3 + count + k]) for k, own in enumerate(at_tip)]
         pulls = iter(at_tip)
-        given = [u[0] * flange[j] + next(pulls) * tip[j] if turns else 0 for j, turns in enumerate(here.robot.revolute)]
-        return ca.vertcat(*given)
+        give = [u[0] * flange[j] + next(pulls) * tip[j] if turns else 0 for j, turns in enumerate(here.robot.revolute)]
+        return ca.vertcat(*give)
 
 
 HEAVIEST = 1e5  # kilograms of a link; more is another unit
@@ -138,7 +138,7 @@ Triples = tuple[tuple[float, float, float], ...]
 
 @dataclass(frozen=True, kw_only=True)
 class LinkSag(Loaded):
-    """Joints that give in proportion to the moments that the weights of the links beyond them have about them.
+    """Joint compliance to the moments that the weights of the links beyond a joint have about it.
 
     It takes the place of `GravitySag`, whose key it has. Where masses are known, each joint has a give of its own: one
     number. Where they are not, each joint gives by as much as it likes to each link beyond it: n (n + 1) / 2 numbers
@@ -205,14 +205,14 @@ class LinkSag(Loaded):
         return LinkSag(size=size, doubt=doubt, down=down, masses=masses, centres=centres, payload=column)
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
-        """What each joint gives, or each joint to each link beyond it, rad per metre of lever (and kg)."""
+        """Compliance of each joint, or of each joint to each link beyond it, rad per metre of lever (and kg)."""
         feels, sag = self._pull(site)
         if not sag > LEAST_SAG:
             return {}
         return {self.key: weighted(np.full(int(feels.sum()), 1 / sag), self.size, "rad")}
 
     def joints(self, here: Here) -> Expression:
-        """u dh/dq of every joint and link, h how deep the link is, in metres."""
+        """Joint deflections u dh/dq over all links, h the depth of the link along gravity, in metres."""
         u, feels = getattr(here.p, self.key), self._pull(here)[0]
         moments = self._moments(here, here.q, getattr(here.row, MASS) if self.payload else 0)
         off, place = [ca.SX(0)] * len(here.robot.axes), iter(range(u.numel()))
@@ -221,11 +221,11 @@ class LinkSag(Loaded):
         return self._links(here).to_controller(ca.vertcat(*off))
 
     def _links(self, site: Site) -> Links:
-        """Raises ProblemError where masses or centres are not one for each joint."""
+        """Links with the stated centres of mass; ProblemError where masses or centres are not one for each joint."""
         links, count = Links.of(site.robot), len(site.robot.axes)
-        for what, given in (("masses", self.masses), ("centres of mass", self.centres)):
-            if given and len(given) != count:
-                raise ProblemError(f"Got {len(given)} {what} for {count} joints", "Give one for what each one carries")
+        for what, values in (("masses", self.masses), ("centres of mass", self.centres)):
+            if values and len(values) != count:
+                raise ProblemError(f"Got {len(values)} {what} for {count} joints", "Give one for what each one carries")
         return replace(links, places=np.array(self.centres)) if self.centres else links
 
     def _moments(self, site: Site, q: Expression, load: Expression) -> Expression:
@@ -246,7 +246,7 @@ class LinkSag(Loaded):
         return replace(self._links(site), places=places).levers(np.array(self.down))
 
     def _pull(self, site: Site) -> tuple[Rows, float]:
-        """Which moments (n, links) there are, and the sag of the flange (mm RMS) where joints give 1 rad to each."""
+        """Mask (n, links) of moments that are not zero, and flange sag (mm RMS) at a compliance of 1 rad per moment."""
         count = len(site.robot.axes)
         q = ca.SX.sym("q", count)
         flange = self._at_flange(site)(q)[count - 1, :]
@@ -264,7 +264,7 @@ LARGEST_TORQUE = 100_000.0  # Nm (N of a sliding joint); beyond it a value is ab
 
 @dataclass(frozen=True, kw_only=True)
 class TorqueCompliance(ByColumns):
-    """Every joint stands off by its own give times the torque that stands in a column of the samples.
+    """Joint compliance to measured torques: each joint deflects by its own compliance times a column of the samples.
 
     `predict` and `compensate` correct it where their file has these columns too, measured or commanded, and exports to
     C and CasADi take the torques as a further input. Where they are not known they stand at their means in the fitted
@@ -287,7 +287,7 @@ class TorqueCompliance(ByColumns):
     words = "joint compliance under measured torque"
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
-        """The give of each joint, rad/Nm."""
+        """Compliance of each joint, rad/Nm."""
         check_columns_of(self.columns_of, len(site.robot.axes), "torques")
         return {self.key: weighted(np.ones(len(self.columns_of)), self.size, "rad")}
 
@@ -297,13 +297,13 @@ class TorqueCompliance(ByColumns):
         return tuple(f"torque_{j + 1}" for j in range(len(self.columns_of)))
 
     def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
-        """As the rows say; raises ProblemError, SamplesError where they do not."""
-        told = read_columns_of(samples, self.columns_of, len(site.robot.axes), "torques")
+        """Torques (N,) by joint; raises ProblemError, SamplesError where rows do not hold them."""
+        torques = read_columns_of(samples, self.columns_of, len(site.robot.axes), "torques")
         said, fix = f"is absurd (beyond {LARGEST_TORQUE:,.0f} Nm)", "Check the value and its unit"
-        refuse_unless(np.abs(told) <= LARGEST_TORQUE, samples, self.columns_of, told, said, fix)
-        return dict(zip(self.columns(site), told.T, strict=True))
+        refuse_unless(np.abs(torques) <= LARGEST_TORQUE, samples, self.columns_of, torques, said, fix)
+        return dict(zip(self.columns(site), torques.T, strict=True))
 
     def joints(self, here: Here) -> Expression:
-        """The give times the torque."""
+        """Joint deflections: compliance times torque, rad."""
         u = getattr(here.p, self.key)
         return ca.vertcat(*(u[j] * getattr(here.row, name) for j, name in enumerate(self.columns(here))))

@@ -1,4 +1,4 @@
-"""What makes a term an effect: a size to expect, how far that may be wrong, and the columns of a file that tell it."""
+"""Effects: terms with an expected size, its doubt, and columns of a file that drive them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from casacal.wording import listed
 
 
 class Effect(Term, ABC):
-    """Something small that arm or cell do and that no link length, twist or offset describes.
+    """A small error of arm or cell that no link length, twist or offset describes.
 
     Its unknowns are zero on average; how far they are from it is their size: what one would expect of such an arm, to
     be corrected by what the samples show. Beside what a `Term` has, it says `size` and `doubt`.
@@ -35,12 +35,12 @@ class Effect(Term, ABC):
     unit: ClassVar[str] = ""
     """Unit of its size; that of its unknowns where empty."""
     elastic: ClassVar[bool] = False
-    """Whether a size at the most that it may have is still what it says, as of an arm that is softer than expected."""
+    """Whether its largest size is still plausible as the effect itself, as of an arm softer than expected."""
 
     def amounts(self, site: Site, samples: Samples) -> Mapping[str, Array]:
-        """Those columns of `further` (N,), by name, that hold amounts: it is known near those of the fitted rows."""
-        told = self.told(site, samples)
-        return {column: told[name] for column, name in zip(self.further, self.columns(site), strict=False)}
+        """Columns of `further` (N,), by name, that hold amounts: the effect is known near those of the fitted rows."""
+        columns = self.told(site, samples)
+        return {column: columns[name] for column, name in zip(self.further, self.columns(site), strict=False)}
 
     def check(self) -> None:
         """Raise ProblemError unless size, doubt and most are numbers that mean something."""

@@ -1,4 +1,4 @@
-"""What gears do to an arm: waves, ripple, play."""
+"""Errors of gears: transmission error, ripple, backlash."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Waves(Effect, ABC):
 
     @abstractmethod
     def waves(self, robot: Robot) -> list[tuple[int, float]]:
-        """A joint, and how many waves there are in a turn of it, for each."""
+        """Joint and number of waves per turn of it, for each wave."""
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """Cosine and sine of each wave, rad."""
@@ -57,17 +57,17 @@ class TransmissionError(Waves):
 
     @property
     def key(self) -> str:
-        """One for each order."""
+        """Key, one for each order."""
         return f"wave{self.order}"
 
     @property
     def words(self) -> str:
-        """As people call it."""
+        """Name for people."""
         named = {1: "first", 2: "second", 3: "third"}.get(self.order, f"{self.order}th")
         return f"{named}-harmonic transmission error"
 
     def waves(self, robot: Robot) -> list[tuple[int, float]]:
-        """One of each turning joint."""
+        """One wave of `order` per turn of each turning joint."""
         return [(j, self.order) for j in np.flatnonzero(robot.revolute).tolist()]
 
 
@@ -89,14 +89,14 @@ class GearRipple(Waves):
     words = "gear ripple"
 
     def waves(self, robot: Robot) -> list[tuple[int, float]]:
-        """One and two in a turn of each motor."""
+        """Waves once and twice per turn of each motor."""
         geared = [j for j, joint in enumerate(robot.axes) if joint.turns and joint.gear_ratio > 0]
         return [(j, order * robot.axes[j].gear_ratio) for j in geared for order in (1, 2)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Backlash(ByColumns):
-    """Joints that lag half of their play behind the way by which they came: from the row before, in order of the lines.
+    """Backlash: joints lag by half of their play behind the direction of approach, from row to row in line order.
 
     Nobody knows how the joints came to the first row, so that each stands there where it likes within its play. Who
     lets every joint come from one side at each row, and writes down which, knows it of all rows.
@@ -117,19 +117,19 @@ class Backlash(ByColumns):
     words = "backlash"
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
-        """Half the play of each joint, then where it stood at first, rad; `PER_RAD` mm of a sliding one are one."""
+        """Half the backlash of each joint, then its initial offset, rad; `PER_RAD` mm of a sliding joint count as 1."""
         return {self.key: weighted(np.ones(2 * len(site.robot.axes)), self.size, "rad")}
 
     def columns(self, site: Site) -> tuple[str, ...]:
-        """Which way each joint came: -1, 0 or 1; and whether it is the first row."""
+        """Sign of each joint's approach: -1, 0 or 1; and whether it is the first row."""
         return (*(f"came{j + 1}" for j in range(len(site.robot.axes))), "first")
 
     def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
-        """As the rows say; raises ProblemError, SamplesError where they do not."""
-        told = read_columns_of(samples, self.columns_of, len(site.robot.axes), "ways of approach")
+        """Signs of approach (N,) by joint; raises ProblemError, SamplesError where rows do not hold them."""
+        signs = read_columns_of(samples, self.columns_of, len(site.robot.axes), "ways of approach")
         said, fix = "is no way of approach", "Write 1 where the joint's value grew, -1 where it fell, 0 where not known"
-        refuse_unless(np.isin(told, (-1, 0, 1)), samples, self.columns_of, told, said, fix)
-        return dict(zip(self.columns(site), (*told.T, np.zeros(len(told))), strict=True))
+        refuse_unless(np.isin(signs, (-1, 0, 1)), samples, self.columns_of, signs, said, fix)
+        return dict(zip(self.columns(site), (*signs.T, np.zeros(len(signs))), strict=True))
 
     def amounts(self, site: Site, samples: Samples) -> Mapping[str, Array]:
         """None: a way of approach is no amount."""
@@ -147,7 +147,7 @@ class Backlash(ByColumns):
         return dict(zip(self.columns(site), ways.T, strict=True))
 
     def joints(self, here: Here) -> Expression:
-        """-u sign(way), and anything within the play where that is not known."""
+        """Joint deflections -u sign(approach), or anything within the backlash where that is not known."""
         u, n = getattr(here.p, self.key), len(here.robot.axes)
         return ca.vertcat(
             *(

@@ -22,7 +22,7 @@ from casacal.fit.lm import lm
 from casacal.linalg import posterior_covariance
 from casacal.model.dial import dial_cycle, dial_gain
 from casacal.model.problem import Problem
-from casacal.uncertainty.evidence import NormalEquations, Sizes, effect_sizes, evidence, told
+from casacal.uncertainty.evidence import NormalEquations, Sizes, effect_sizes, evidence, normal_equations
 from casacal.uncertainty.figures import HALF_WEIGHT, rms
 from casacal.uncertainty.fresh_rows import FreshRows, chance, covariance_root
 from casacal.uncertainty.noise import WORTH, beforehand, joints_err, with_joints
@@ -45,7 +45,7 @@ VERY_STRONG = 5.0
 American Statistical Association 90, 1995, section 3.2: 2 ln B above 10)."""
 UNLIKELY = 0.01 / 2
 """Chance below which an error of the dial is taken to be there: one in a hundred, for the two that are tested."""
-FLAT = 1e-3  # slope of a residual by its reading below which that reading tells nothing
+FLAT = 1e-3  # slope of a residual by its reading below which the reading does not count
 STEP = 0.5  # millimetres by which readings are shifted for their slope: a distance from a plane is linear in them
 UNSEEN = 1e-9  # part of the squared length of a column that a fit must leave of it for it to be seen at all
 
@@ -77,7 +77,7 @@ def with_effects(bound: BoundProblem, problem: Problem, *, find_noise: bool = Tr
         return standard.sized(least)
     if find_noise and bound.rows > ENOUGH:
         part = standard.sized(PART)
-        field = [slot.unknown.prior_stds[0] for slot in part.slots if slot.beside == JointField.key]
+        field = [slot.unknown.prior_stds[0] for slot in part.slots if slot.term == JointField.key]
         if field and float(field[0]) > float(np.median(part.noise)):  # rows err together by more than each does alone
             found = _Linear.of(bound, with_rich_kit(problem), geometry.x).sized(PART)
             if err_as_stated(found):
@@ -105,26 +105,26 @@ class _Linear:
 
     @staticmethod
     def of(bound: BoundProblem, problem: Problem, geometry: Array) -> _Linear:
-        """Of the geometry alone, which stands at x (n,)."""
+        """Linearised rows where the geometry alone stands at `geometry` (n,)."""
         whole = bound.under(problem)
         x = whole.x0.copy()
         x[[j for j, key in enumerate(whole.beside) if not key]] = geometry
         ways, scale = [whole], whole.scale
         if set(scale) - {OTHERS, SHARED}:
             ways.append(whole.with_noise({OTHERS: min(by_face(scale).values()), **of_repeats(scale)}))
-        return _Linear(x, tuple((way, told(way, x)) for way in ways))
+        return _Linear(x, tuple((way, normal_equations(way, x)) for way in ways))
 
     def sized(self, least: float | None) -> BoundProblem:
-        """Sizes and noise as found, the noise at least a part of what was stated; None holds it.
+        """Rows with sizes and noise as found, the noise at least the part `least` of the stated; None holds it.
 
-        What joints do not repeat comes on top of what was stated; where that is not the least, nobody can say.
+        Joint repeatability comes on top of the stated noise; it is not sought unless `least` is one.
         """
         best = self.best(least)
         faces = len(by_face(best.rows.scale))
         faces_differ = faces > 1  # some of which see more of the joints than others
-        if least != 1.0 or not (faces_differ or joints_err(best.rows, self.x, best.told)):
+        if least != 1.0 or not (faces_differ or joints_err(best.rows, self.x, best.equations)):
             return best.rows
-        parts = [(way, told(way, self.x)) for way in with_joints(self.ways[0][0], best.rows)]
+        parts = [(way, normal_equations(way, self.x)) for way in with_joints(self.ways[0][0], best.rows)]
         if not parts:
             return best.rows
         looks = [self._sizes(*part, least, start=best.times, search=False) for part in parts]
@@ -135,27 +135,27 @@ class _Linear:
         return found.rows if found.evidence + beforehand(found.rows) - against > best.evidence else best.rows
 
     def best(self, least: float | None) -> _Found:
-        """The likeliest of the ways, before what joints do not repeat is told from the noise."""
+        """The likeliest of the ways, before joint repeatability is separated from the noise."""
         ways = self.ways if least is not None else self.ways[:1]
         return max((self._likeliest(*way, least) for way in ways), key=lambda found: found.evidence)
 
     def _likeliest(
         self,
         whole: BoundProblem,
-        seen: NormalEquations,
+        normal: NormalEquations,
         least: float | None,
         *,
         start: Mapping[str, float] | None = None,
     ) -> _Found:
-        """At the sizes and the noise that make the rows likeliest."""
-        sizes = self._sizes(whole, seen, least, start=start)
+        """The rows at the sizes and the noise that make them likeliest."""
+        sizes = self._sizes(whole, normal, least, start=start)
         rows = whole.with_sizes(sizes.times, noise=times(whole.scale, sizes.noise) if sizes.noise != 1 else None)
-        return _Found(sizes.evidence, rows, sizes.times, seen.with_noise(sizes.noise))
+        return _Found(sizes.evidence, rows, sizes.times, normal.with_noise(sizes.noise))
 
     def _sizes(
         self,
         whole: BoundProblem,
-        seen: NormalEquations,
+        normal: NormalEquations,
         least: float | None,
         *,
         start: Mapping[str, float] | None = None,
@@ -165,7 +165,7 @@ class _Linear:
         stated = 1 / min(by_face(whole.scale).values(), default=1.0)
         known = {effect.key: (effect.doubt, effect.most) for effect in effects_of(whole.problem)}
         sizes = effect_sizes(
-            whole, self.x, whole.beside, known, stated=stated, least=least, seen=seen, start=start, search=search
+            whole, self.x, whole.beside, known, stated=stated, least=least, normal=normal, start=start, search=search
         )
         density = float(np.log(whole.noise).sum())
         return replace(sizes, evidence=sizes.evidence - density)
@@ -173,19 +173,19 @@ class _Linear:
 
 @dataclass(frozen=True)
 class _Found:
-    """The rows at some sizes and noise, and the logarithm of how likely they are so."""
+    """Rows with sizes and noise as found, and the logarithm of their likelihood."""
 
     evidence: float
     rows: BoundProblem
     times: Mapping[str, float]
-    told: NormalEquations
+    equations: NormalEquations
 
 
 def times_found(whole: BoundProblem) -> dict[str, float]:
-    """Times by which each effect came out larger than it was expected to be, by key."""
+    """Size of each effect as found over its expected size, by key."""
     problem, found = whole.problem, {}
     for effect in effects_of(problem):
-        slot = next((slot for slot in whole.slots if slot.beside == effect.key), None)
+        slot = next((slot for slot in whole.slots if slot.term == effect.key), None)
         for i in range(len(problem.instruments)):
             expected = effect.unknowns(problem.symbols_of(i).site)
             if slot is not None and effect.key in expected:
@@ -208,10 +208,10 @@ def errors_are_shared(whole: BoundProblem) -> bool:
 
 def err_as_stated(whole: BoundProblem) -> bool:
     """Whether noise and all effects of a row together, root mean square, are as much as was stated, or more."""
-    beside = np.array(whole.beside, dtype=bool)
-    told = np.diagonal(whole.normal(whole.x0).information)
+    of_effects = np.array(whole.beside, dtype=bool)
+    information = np.diagonal(whole.normal(whole.x0).information)
     noise = float(np.median(whole.noise))
-    together = noise * float(np.sqrt(1 + told[beside] @ whole.prior_std[beside] ** 2 / whole.rows))
+    together = noise * float(np.sqrt(1 + information[of_effects] @ whole.prior_std[of_effects] ** 2 / whole.rows))
     return together >= float(np.median(whole.with_noise().noise))
 
 
@@ -330,9 +330,9 @@ def _dial_columns(fit: BoundProblem, x: Array) -> Iterator[tuple[str, str, str, 
         read = np.zeros(fit.rows)
         read[fit.sample_rows(i)] = fit.samples[i].columns[probe.column]
         steep = _steepness(fit, x, i, probe.column)
-        told = np.abs(steep) > FLAT
+        sloped = np.abs(steep) > FLAT
         drawn, fitted = (
-            read - np.where(told, fit.plain_residual(at) / np.where(told, steep, 1.0), 0.0) for at in (fit.x0, x)
+            read - np.where(sloped, fit.plain_residual(at) / np.where(sloped, steep, 1.0), 0.0) for at in (fit.x0, x)
         )
         slope, before = steep / fit.noise, fit.problem.prefix(i)
         if "gain" not in declared:
@@ -417,7 +417,7 @@ GONE = 1e12  # times a prior's information by which an effect is taken away
 
 
 def in_sample_gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[str, float]:
-    """By how much the logarithm of the rows' likelihood is larger with each effect than without it, at its size.
+    """Gain in the log-likelihood of the rows by each effect at its size.
 
     That is what the whole adds up to, row by row; an effect that gains little there gains nothing elsewhere.
 
@@ -427,13 +427,13 @@ def in_sample_gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[
         keys: of the effects.
 
     """
-    rows, prior = told(bound, x), bound.prior_information
+    rows, prior = normal_equations(bound, x), bound.prior_information
     whole = evidence(rows, prior)
     return {key: whole - evidence(rows, _without(bound, prior, key)) for key in keys}
 
 
 def gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[str, dict[str, float]]:
-    """By how much the logarithm of the density of unseen rows is larger with each effect, by key and by split.
+    """Gain in the log density of unseen rows by each effect, by key and by split.
 
     Arguments as for `in_sample_gains`; of very many rows some stand for all. Returns no split where there is no face
     beside another, and no region that could be left out.
@@ -450,18 +450,18 @@ def gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[str, dict[
         parted = splits_by({FACES: bound.faces, INSTRUMENTS: Labels(every.names, every.instruments)}, every.joints)
     for name, parts in parted.items():
         rows = [bound.residuals_of(part) for part in parts]
-        seen = [NormalEquations.of(slopes[part], heights[part]) for part in rows]
-        whole = _densities(seen, prior)
+        equations = [NormalEquations.of(slopes[part], heights[part]) for part in rows]
+        whole = _densities(equations, prior)
         for key, without in priors.items():
-            found[key][name] = whole - _densities(seen, without)
+            found[key][name] = whole - _densities(equations, without)
     return found
 
 
-def _densities(seen: list[NormalEquations], prior: Array) -> float:
-    """Sum over some parts of the logarithm of each one's density given the others, but for a constant."""
-    whole, total = evidence(sum(seen[1:], seen[0]), prior), 0.0
-    for k in range(len(seen)):
-        others = [part for j, part in enumerate(seen) if j != k]
+def _densities(parts: list[NormalEquations], prior: Array) -> float:
+    """Sum over parts of the log density of each given the others, up to a constant."""
+    whole, total = evidence(sum(parts[1:], parts[0]), prior), 0.0
+    for k in range(len(parts)):
+        others = [part for j, part in enumerate(parts) if j != k]
         rest = sum(others[1:], others[0])
         known = (np.diagonal(prior) > 0) | (
             np.diagonal(rest.information) > 0
@@ -474,6 +474,6 @@ def _densities(seen: list[NormalEquations], prior: Array) -> float:
 
 
 def _without(bound: BoundProblem, prior: Array, key: str) -> Array:
-    """A prior's information (n, n) with an effect gone."""
+    """Information (n, n) of the prior with an effect's unknowns held at zero."""
     gone = np.array(bound.beside) == key
     return np.asarray(prior + np.diag(np.where(gone, GONE * np.diagonal(prior), 0.0)))

@@ -20,15 +20,15 @@ from casacal.values import Array
 
 
 class OverTime(Effect, ABC):
-    """An effect that wants to know when a row was measured."""
+    """An effect that depends on when a row was measured."""
 
     def columns(self, site: Site) -> tuple[str, ...]:
-        """When a row was measured, 0 to 1."""
+        """Column of the time at which a row was measured, 0 to 1."""
         del site
         return ("when",)
 
     def values(self, site: Site, rows: SurveyedRows) -> Mapping[str, Array]:
-        """By the number of its line."""
+        """Time of each row, by the number of its line."""
         del site
         return {"when": rows.survey.when(rows.samples)}
 
@@ -83,18 +83,18 @@ class FaceForm(Effect):
         return {self.key: weighted(np.array([std for *_, std in self._terms]), self.size, "mm", probe.label)}
 
     def columns(self, site: Site) -> tuple[str, ...]:
-        """Where on its face a row lies."""
+        """Columns of a row's place on its face."""
         del site
         return ("along", "across")
 
     def values(self, site: Site, rows: SurveyedRows) -> Mapping[str, Array]:
-        """By the nominal tips; the middle of a face that was not fitted."""
+        """Places by the nominal tips; the middle of a face that was not fitted."""
         probe = site.instrument.probe
         places = rows.survey.places(rows.samples, rows.tips, None if probe is None else probe.label)
         return {"along": places[:, 0], "across": places[:, 1]}
 
     def residual(self, here: Here) -> Expression:
-        """Less the height of the face."""
+        """Residual change: minus the height of the face, mm."""
         u = getattr(here.p, self.key)
         sines = [
             ca.sin(math.pi * i * (here.row.along + WIDER) / (2 * WIDER))
@@ -150,12 +150,12 @@ class ThermalGrowth(OverTime):
     words = "thermal growth"
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
-        """Even growth, and growth that ends soon."""
+        """Amplitudes of linear growth and of growth that saturates early."""
         del site
         return {self.key: weighted(np.ones(2), self.size, "1")}
 
     def pose(self, here: Here) -> Expression:
-        """The flange, its place stretched."""
+        """Flange pose with its position scaled by the growth."""
         u, t = getattr(here.p, self.key), here.row.when
         grown = 1 + u[0] * t + u[1] * (1 - ca.exp(-SOON * t))
         matrix = here.pose.matrix if isinstance(here.pose, Product) else ca.SX(here.pose)
@@ -166,7 +166,7 @@ SOON = 5.0  # time constants of early growth in one session
 
 
 JITTER = 1e-9  # added to a covariance of one, so that rows at one place can both be pivots
-MOST_UNKNOWNS = 150  # of all components of a residual together; the time that a fit takes grows with their cube
+MOST_UNKNOWNS = 150  # over all components of a residual; the time that a fit takes grows with their cube
 ENOUGH = 1e-3  # variance of a row, of one, below which it tells nothing that others have not told
 
 
@@ -191,20 +191,20 @@ class JointField(Effect):
     rank: int = 24
 
     moves = False
-    most = 1e3  # what else errs has no physical size
+    most = 1e3  # an error of unknown origin has no physical size
     key = "field"
     words = "posture-dependent error"
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
-        """What each of these rows has of it beyond those before, component by component of the residual, mm."""
+        """Amplitude of the field at each pivot row, given the pivots before, by component of the residual, mm."""
         return {self.key: weighted(np.ones(self._pivots(site) * site.components), self.size, "mm")}
 
     def columns(self, site: Site) -> tuple[str, ...]:
-        """How alike a row is to each of them."""
+        """Columns of a row's covariance with the pivots, whitened by that of the pivots among themselves."""
         return tuple(f"{self.key}_like{k + 1}" for k in range(self._pivots(site)))
 
     def values(self, site: Site, rows: SurveyedRows) -> Mapping[str, Array]:
-        """By their joint values and those of the fitted rows."""
+        """Those columns, from the joint values of the rows and of the fitted ones."""
         rank = self._pivots(site)
         pivots = _pivots(self._places(site, rows.survey.samples), rank)
         like = np.zeros((len(rows.samples), rank))
@@ -214,12 +214,12 @@ class JointField(Effect):
         return {name: like[:, k] for k, name in enumerate(self.columns(site))}
 
     def residual(self, here: Here) -> Expression:
-        """The sum over these rows, for each component."""
+        """Error of each component: the sum over the pivots."""
         like = ca.vertcat(*(getattr(here.row, name) for name in self.columns(here)))
         return ca.mtimes(ca.reshape(getattr(here.p, self.key), -1, here.components).T, like)
 
     def _pivots(self, site: Site) -> int:
-        """How many rows stand for all, where each component of the residual has its own."""
+        """Number of pivot rows; each component of the residual has its own unknowns."""
         return min(self.rank, max(MOST_UNKNOWNS // site.components, 1))
 
     def _places(self, site: Site, samples: Samples) -> Array:
@@ -236,7 +236,7 @@ def _alike(one: Array, other: Array) -> Array:
 
 
 def _pivots(places: Array, rank: int) -> Array:
-    """Those places (r, k), r at most `rank`, at which the process tells most of what it is at all of them (N, k)."""
+    """Pivots (r, k), r at most `rank`, among places (N, k): each the one of largest remaining variance."""
     left, factors, chosen = np.ones(len(places)), np.zeros((len(places), rank)), []
     for k in range(min(rank, len(places))):
         pivot = int(np.argmax(left))

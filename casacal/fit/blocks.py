@@ -28,7 +28,7 @@ TOGETHER = 16_384  # rows looked at together, so that a million are never copied
 
 @dataclass(frozen=True)
 class Block:
-    """The rows of one instrument: which of x each row sees, its constants and its data."""
+    """The rows of one instrument: the unknowns that each depends on, its constants and its data."""
 
     model: RowModel
     samples: Samples
@@ -43,9 +43,9 @@ class Block:
     row_columns: tuple[Array, ...]
     """Columns of d beside the joint values, each (N,): mm, rad."""
     elsewhere: Array
-    """What stands in these columns (k,) at postures that are no rows: zero, or what a term says."""
+    """Values of these columns (k,) at postures that are no rows: zero, or what a term says."""
     usual: Array
-    """The same (k,) for what a term that nobody takes in does there: of columns that rows tell, their RMS."""
+    """As `elsewhere` (k,), but the RMS over the rows in columns that rows tell: for the size of an uncorrected term."""
     noise: Array
     """Standard deviation of each residual at the nominal, (N, m): method of errors in variables."""
 
@@ -73,9 +73,9 @@ class Block:
         """Points (N, 3; mm) of the arm as `posture` has them, their derivative (3 N, s) by x or some (s,) of it."""
         points, slopes = self.posture(f"{what}_jacobian", x, joints, usual=usual)
         by = np.arange(x.size) if by is None else by
-        _, inside, seen = np.intersect1d(by, self.columns[0], return_indices=True)
+        _, inside, own = np.intersect1d(by, self.columns[0], return_indices=True)
         jacobian = np.zeros((3 * len(joints), by.size))
-        jacobian[:, inside] = slopes.reshape(len(jacobian), -1)[:, seen]
+        jacobian[:, inside] = slopes.reshape(len(jacobian), -1)[:, own]
         return points, jacobian
 
     @property
@@ -91,8 +91,8 @@ class Block:
     def at_nominal(self, function: Columnwise) -> Array:
         """Values (N, m) of a function of one row at the nominal."""
         found = np.empty((len(self.samples), self.model.components))
-        for constant, seen in zip(self.constants, self.by_pattern, strict=True):
-            for rows in np.array_split(seen, 1 + seen.size // TOGETHER):
+        for constant, samples in zip(self.constants, self.by_pattern, strict=True):
+            for rows in np.array_split(samples, 1 + samples.size // TOGETHER):
                 found[rows] = function(np.zeros(self.columns.shape[1]), constant, self.rows(rows))
         return found
 
@@ -117,16 +117,16 @@ def make_block(
     constants = np.array([np.concatenate([none, *(row[j].nominal for j in index)]) for row in row_slots])
     columns = columns.reshape(len(row_slots), model.residual.numel_in(0))
     constants = constants.reshape(len(row_slots), model.residual.numel_in(1))
-    beside = row_columns(problem, i, samples, survey, proposed_by(problem, i, nominals(slots)))
+    of_rows = row_columns(problem, i, samples, survey, proposed_by(problem, i, nominals(slots)))
     elsewhere, site = dict.fromkeys(model.names, 0.0), problem.symbols_of(i).site
     for term in model.terms:
         elsewhere |= term.away(site)
     usual = dict(elsewhere)
     for term in model.terms:
-        told = term.told(site, survey.samples) if term.further and survey is not None else {}
-        usual |= {name: float(np.sqrt((values**2).mean())) for name, values in told.items()}
+        amounts = term.told(site, survey.samples) if term.further and survey is not None else {}
+        usual |= {name: float(np.sqrt((values**2).mean())) for name, values in amounts.items()}
     noise, away = np.empty((len(samples), model.components)), np.array(list(elsewhere.values()))
-    usually, columns_of_d = np.array(list(usual.values())), tuple(beside.values())
+    usually, columns_of_d = np.array(list(usual.values())), tuple(of_rows.values())
     block = Block(model, samples, row_slots, pattern, columns, constants, columns_of_d, away, usually, noise)
     noise[:] = block.at_nominal(model.columns.noise)
     for bad in np.flatnonzero(~((noise > 1 / LARGEST) & (noise < LARGEST)).all(axis=1))[:1]:
@@ -167,7 +167,7 @@ def _patterns(
     by_name = {slot.name: slot for slot in slots}
     patterns = []
     for labels in distinct:
-        here, seen = dict(zip(label_columns, labels, strict=True)), []
+        here, row_slots = dict(zip(label_columns, labels, strict=True)), []
         for key, unknown in unknowns.items():
             name = names[key]
             if unknown.per is not None:
@@ -177,6 +177,6 @@ def _patterns(
                     f"{samples.file}: some rows are labelled '{here[unknown.per or '']}', the fitted rows are not",
                     "Fit some rows of each label",
                 )
-            seen.append(by_name[name])
-        patterns.append(tuple(seen))
+            row_slots.append(by_name[name])
+        patterns.append(tuple(row_slots))
     return tuple(patterns), pattern

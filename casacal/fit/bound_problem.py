@@ -142,25 +142,25 @@ class BoundProblem(LeastSquares):
     ) -> None:
         self.problem, self.slots, self.samples = problem, tuple(slots), tuple(samples)
         self.scale = FrozenMapping(scale)
-        seen, none = [slot for slot in self.slots if slot.unknown.size], np.zeros(0)
-        sizes = [slot.unknown.size for slot in seen]
+        free, none = [slot for slot in self.slots if slot.unknown.size], np.zeros(0)
+        sizes = [slot.unknown.size for slot in free]
         if sum(sizes) > MOST_UNKNOWNS:
             came = f"{sum(sizes):,} unknowns came, and a problem holds {MOST_UNKNOWNS:,} at most"
             raise ProblemError(came, "Take the rows of fewer faces or other labels, or hold unknowns with --fix")
-        self.names = tuple(name for slot in seen for name in slot.unknown.names(slot.name))
-        self.units = tuple(unit for slot in seen for unit in slot.unknown.units)
-        self.beside = tuple(slot.beside for slot in seen for _ in slot.columns)
-        """The term that each unknown (n,) belongs to, or none."""
+        self.names = tuple(name for slot in free for name in slot.unknown.names(slot.name))
+        self.units = tuple(unit for slot in free for unit in slot.unknown.units)
+        self.beside = tuple(slot.term for slot in free for _ in slot.columns)
+        """Key of the term that each unknown (n,) belongs to; empty for the geometry."""
         self.x0 = read_only(np.zeros(sum(sizes)))
-        self.prior_std = read_only(np.concatenate([none, *(slot.unknown.prior_stds for slot in seen)]))
-        self.start_std = read_only(np.concatenate([none, *(slot.unknown.start_stds for slot in seen)]))
+        self.prior_std = read_only(np.concatenate([none, *(slot.unknown.prior_stds for slot in free)]))
+        self.start_std = read_only(np.concatenate([none, *(slot.unknown.start_stds for slot in free)]))
         self.known = None if known is None else known.of(self.names)
         if self.known is not None:
             self.x0, self.prior_std = map(read_only, self.known.placed(self.names, self.x0, self.prior_std))
             self.start_std = read_only(np.where(np.isfinite(self.prior_std), self.prior_std, self.start_std))
-        self.datum = read_only(np.repeat([slot.datum for slot in seen], sizes).astype(bool))
+        self.datum = read_only(np.repeat([slot.datum for slot in free], sizes).astype(bool))
         self.surveys = tuple(surveys) or surveys_of(problem, samples, nominals(self.slots))
-        self._asked, self._threads = backend, thread_count(threads)
+        self._backend, self._threads = backend, thread_count(threads)  # as requested; `backend` is the one in use
         if stated is None:
             made = [make_block(problem, i, self.slots, some, self.surveys[i]) for i, some in enumerate(samples)]
             stated = KernelRows(made, self.unknowns, backend, self._threads)
@@ -172,7 +172,7 @@ class BoundProblem(LeastSquares):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Constructor and arguments for pickling; kernels and sums are recomputed."""
-        made_from = (self.problem, self.slots, self.samples, self._asked, self._threads, self.scale, self.surveys)
+        made_from = (self.problem, self.slots, self.samples, self._backend, self._threads, self.scale, self.surveys)
         return BoundProblem, (*made_from, None, self.known)
 
     def __eq__(self, other: object) -> bool:
@@ -196,23 +196,23 @@ class BoundProblem(LeastSquares):
         return self.on(*self.measured.take(rows).sets)
 
     def thinned(self, most: int) -> BoundProblem:
-        """Itself, or so many of its samples, evenly spread."""
+        """The problem itself, or with at most `most` of its samples, evenly spread."""
         count = len(self.measured)
         return self if count <= most else self.take(np.unique(np.linspace(0, count - 1, most).astype(int)))
 
     def under(self, problem: Problem) -> BoundProblem:
         """The rows and nominal values bound to another problem of the same geometry, such as one with other terms."""
         slots = make_slots(problem, self.samples, {slot.name: slot.nominal for slot in self.slots})
-        return BoundProblem(problem, slots, self.samples, self._asked, self._threads, self.scale, known=self.known)
+        return BoundProblem(problem, slots, self.samples, self._backend, self._threads, self.scale, known=self.known)
 
     def with_known(self, known: Gaussian) -> BoundProblem:
         """The problem with a joint Gaussian prior on some unknowns, by name, in place of their own priors."""
-        given = (self.problem, self.slots, self.samples, self._asked, self._threads, self.scale, self.surveys)
-        return BoundProblem(*given, self._stated, known)
+        parts = (self.problem, self.slots, self.samples, self._backend, self._threads, self.scale, self.surveys)
+        return BoundProblem(*parts, self._stated, known)
 
     def with_sizes(self, times: Mapping[str, float], *, noise: Mapping[str, float] | None = None) -> BoundProblem:
         """The problem with prior standard deviations of terms scaled by a factor per key, and noise by others."""
-        slots = [slot.sized(times.get(slot.beside, 1.0)) for slot in self.slots]
+        slots = [slot.sized(times.get(slot.term, 1.0)) for slot in self.slots]
         return self._like(slots, self.samples, self.scale if noise is None else noise)
 
     def with_noise(self, scale: Mapping[str, float] = EMPTY) -> BoundProblem:
@@ -224,8 +224,8 @@ class BoundProblem(LeastSquares):
 
     def _like(self, slots: Sequence[Slot], samples: Sequence[Samples], scale: Mapping[str, float]) -> BoundProblem:
         stated = self._stated if list(map(id, samples)) == list(map(id, self.samples)) else None
-        given = (self.problem, slots, samples, self._asked, self._threads, scale, self.surveys, stated, self.known)
-        return BoundProblem(*given)
+        parts = (self.problem, slots, samples, self._backend, self._threads, scale, self.surveys, stated, self.known)
+        return BoundProblem(*parts)
 
     def first_part(self) -> tuple[BoundProblem, Index] | None:
         """The geometry alone, where there are terms beside it."""
@@ -234,7 +234,7 @@ class BoundProblem(LeastSquares):
 
     def parameters(self) -> Iterator[tuple[str, str, float, int | None]]:
         """Numbers of all parameters but those of terms: name, unit, nominal, position in x (None when held)."""
-        return (number for slot in self.slots if not slot.beside for number in slot.numbers())
+        return (number for slot in self.slots if not slot.term for number in slot.numbers())
 
     def noise_factors(self, scale: Mapping[str, float]) -> Array:
         """The factor of each residual's stated noise (rows,), but for what joints do not repeat.
@@ -321,7 +321,7 @@ class BoundProblem(LeastSquares):
 
     @cached_property
     def components(self) -> Index:
-        """How many residuals each sample has (N,)."""
+        """Number of residuals of each sample (N,)."""
         return np.concatenate([np.full(len(block.noise), block.noise.shape[1]) for block in self.blocks])
 
     @cached_property
@@ -482,7 +482,7 @@ class BoundProblem(LeastSquares):
         once = np.hstack([block.constants[block.pattern], block.data])
         rows = FilterRows(block.pattern, block.columns, self.x0, self.start_std, once, 1 / block.noise)
         mean, root = mean.copy(), np.ascontiguousarray(root.copy())
-        stop, *trace = block.model.filter(self._asked)(first - before, rows, mean, root)
+        stop, *trace = block.model.filter(self._backend)(first - before, rows, mean, root)
         return FilterPass(before + stop, mean, root, *(each[first - before : stop] for each in trace))
 
     def _instrument(self, k: int) -> int:

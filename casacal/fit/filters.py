@@ -95,8 +95,8 @@ def take_in(problem: LeastSquares, belief: Belief, first: int, process_root: Arr
         0.0,
         1.0,
     )
-    told = np.array([update.innovation]), np.array([update.innovation_std])
-    return FilterPass(first + 1, update.belief.mean, update.belief.root, update.belief.mean[None], *told)
+    innovation = np.array([update.innovation]), np.array([update.innovation_std])
+    return FilterPass(first + 1, update.belief.mean, update.belief.root, update.belief.mean[None], *innovation)
 
 
 def sckf(

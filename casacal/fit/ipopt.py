@@ -172,10 +172,10 @@ def nlpsol(
         stages.insert(0, first.after)
     for stage in stages:
         objective = Objective(graph, problem, stage, start)
-        program, given, kept = _program(graph, objective, exact=solver == "ipopt")
+        program, common, kept = _program(graph, objective, exact=solver == "ipopt")
         try:
             made = ca.nlpsol(
-                "reference", solver, program, given | dict(_silent(solver, stage) if options is None else options)
+                "reference", solver, program, common | dict(_silent(solver, stage) if options is None else options)
             )
             solution = made(x0=np.zeros(start.size), lbg=0.0, ubg=0.0)
         except (RuntimeError, NotImplementedError) as error:
@@ -269,7 +269,7 @@ def _program(
 
 
 def _pattern(objective: Objective) -> ca.Sparsity:
-    """Where the Hessian's upper triangle is not zero."""
+    """Sparsity of the Hessian's upper triangle."""
     n = objective.start.size
     starts = np.searchsorted(objective.columns, np.arange(n + 1))
     return ca.Sparsity(n, n, starts.tolist(), objective.rows.tolist())
@@ -322,8 +322,8 @@ class _Call(ca.Callback):
 
     def eval_buffer(self, arg: Sequence[memoryview], res: Sequence[memoryview]) -> int:
         """Write the results' entries, column by column."""
-        given = [np.frombuffer(each) if each is not None else np.zeros(0) for each in arg]
-        for place, values in zip(res, self._function(*given), strict=True):
+        arguments = [np.frombuffer(each) if each is not None else np.zeros(0) for each in arg]
+        for place, values in zip(res, self._function(*arguments), strict=True):
             if place is not None:
                 np.frombuffer(place)[:] = values
         return 0

@@ -26,18 +26,18 @@ Places: TypeAlias = tuple[Index, Index]
 
 @dataclass(frozen=True)
 class RawBlock:
-    """Rows that see the same raw coordinates."""
+    """Rows whose residuals depend on the same raw coordinates."""
 
     kernel: CurvatureKernel
     """Cost, gradient and Hessian of the rows' raw residual."""
     columns: Index
     """Positions of the kernel's v in the whole raw vector."""
     constants: Array
-    """What else the rows share (nc,)."""
+    """Constants that the rows share (nc,)."""
     lanes: Lanes
     """The rows as the kernel reads them."""
     threads: int
-    """How many share the rows."""
+    """Number of threads that share the rows."""
 
     def __call__(self, v: Array, loss: Loss | None = None) -> tuple[float, Array, Array]:
         """Cost of the rows, its gradient (z,) and Hessian (z, z) by what they see of v (n,)."""
@@ -52,8 +52,8 @@ class RawGraph:
         first = {slot.name: int(start) for slot, start in zip(slots, starts, strict=False)}
         found = []
         for block in blocks:
-            for seen, constants, rows in zip(block.slots, block.constants, block.by_pattern, strict=True):
-                columns = [first[s.name] + j for s in seen for j in range(s.unknown.raw_size)]
+            for row_slots, constants, rows in zip(block.slots, block.constants, block.by_pattern, strict=True):
+                columns = [first[s.name] + j for s in row_slots for j in range(s.unknown.raw_size)]
                 kernel, there = block.model.curvature, np.array(columns, dtype=np.intp)
                 lanes = kernel.lanes(block.rows(rows), block.noise[rows])
                 found.append(RawBlock(kernel, there, constants, lanes, threads))
@@ -128,9 +128,9 @@ class KernelRows:
         threads: int,
         packed: KernelRows | None = None,
     ) -> None:
-        self.blocks, self._unknowns, self._asked, self._shared_by = tuple(blocks), unknowns, backend, threads
+        self.blocks, self._unknowns, self._backend, self._shared_by = tuple(blocks), unknowns, backend, threads
         self._packed = packed
-        """The same rows with other noise, whose data are packed already."""
+        """Rows with other noise whose packed data are reused; None where these are packed anew."""
         self._kernels = [block.model.rows(backend) for block in blocks]
         self._threads = threads if sum(len(block.noise) for block in blocks) >= FEW else 1
         self._starts = np.cumsum([0, *(block.noise.size for block in blocks)])
@@ -142,7 +142,7 @@ class KernelRows:
 
     def with_noise(self, blocks: Sequence[Block]) -> KernelRows:
         """Rows with other noise; packed data are shared."""
-        return KernelRows(blocks, self._unknowns, self._asked, self._shared_by, self._packed or self)
+        return KernelRows(blocks, self._unknowns, self._backend, self._shared_by, self._packed or self)
 
     @cached_property
     def noise(self) -> Array:
@@ -161,8 +161,8 @@ class KernelRows:
         found = []
         for block, kernels, first in zip(self.blocks, self._kernels, self._starts, strict=False):
             components = np.arange(block.noise.shape[1])
-            for columns, constants, seen in zip(block.columns, block.constants, block.by_pattern, strict=True):
-                for rows in _parts(seen):
+            for columns, constants, samples in zip(block.columns, block.constants, block.by_pattern, strict=True):
+                for rows in _parts(samples):
                     lanes = kernels.lanes(block.rows(rows), block.noise[rows])
                     numbers = rows[:, None]  # of a million rows no copy is held that need not be
                     if first or components.size > 1:

@@ -147,13 +147,13 @@ class LeastSquares(ABC):
     x0: Array
     """Mean of the prior (n,), and where estimates start."""
     prior_std: Array
-    """Standard deviation of each unknown (n,) whatever the others are; infinite where the prior is flat."""
+    """Marginal prior standard deviation of each unknown (n,); infinite where the prior is flat."""
     start_std: Array
-    """The same (n,), or a good scale where the prior is flat."""
+    """Prior standard deviation (n,), or a good scale where the prior is flat."""
     datum: Rows
-    """Unknowns that only say where the touched or watching thing stands (n,); the control M0 fits these alone."""
+    """Mask (n,) of unknowns that only locate the touched face or the device; the control M0 fits these alone."""
     known: Gaussian | None = None
-    """Unknowns that are known together; `x0` and `prior_std` say the part of each alone."""
+    """Joint prior of some unknowns; `x0` and `prior_std` are its marginals."""
     graph: Any = None
     symbolic: Any = None
 
@@ -343,7 +343,7 @@ class Conditioned(LeastSquares):
         if not self.out.size:
             return rows[:, self.free]
         prior = self.whole.prior_rows
-        held = prior[np.any(prior[:, self.out] != 0, axis=1)]  # what holds the others besides the rows
+        held = prior[np.any(prior[:, self.out] != 0, axis=1)]  # priors of the unknowns that are taken out
         own = np.linalg.lstsq(held[:, self.out], held[:, self.free], rcond=None)[0] if len(held) else 0.0
         left = np.vstack([rows[:, self.free] - rows[:, self.out] @ own, np.zeros((len(held), self.free.size))])
         return freed_of(left, np.vstack([rows[:, self.out], held[:, self.out]]))
@@ -430,10 +430,10 @@ class Result(Value):
         """Covariance of x (n, n); variances that neither data nor prior hold are infinite."""
         if self.belief is not None:
             return self.belief
-        told = self.problem.normal(self.x, self.loss).information if self.information is None else self.information
+        data = self.problem.normal(self.x, self.loss).information if self.information is None else self.information
         if self.loss is not None:  # what its weights, and rows that they hold down, leave
-            told = worth_under(self.loss, self.problem.residual(self.x)) * told
-        return posterior_covariance(told, self.problem.prior_information)
+            data = worth_under(self.loss, self.problem.residual(self.x)) * data
+        return posterior_covariance(data, self.problem.prior_information)
 
     @cached_property
     def cost(self) -> float:

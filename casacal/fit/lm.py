@@ -47,18 +47,18 @@ STUCK_DAMPING = 1e50  # damping beyond which there is nothing left to try
 
 @dataclass(frozen=True)
 class Damping:
-    """How to damp: mu, the constant lambda of eqs (25)-(29), here led by the gain ratio (E13; Nielsen 1999)."""
+    """Damping mu, the constant lambda of eqs (25)-(29), here led by the gain ratio (E13; Nielsen 1999)."""
 
     mu: float
     growth: float = 2.0
-    """What the next rejected step multiplies mu by: Nielsen's nu."""
+    """Factor of mu at the next rejected step: Nielsen's nu."""
 
     def accepted(self, ratio: float) -> Damping:
         """After a step with this gain ratio: a third where the model was right, up to double where it was not."""
         return Damping(self.mu * max(FASTEST_DECREASE, 1 - (2 * ratio - 1) ** 3))
 
     def rejected(self) -> Damping:
-        """After a step that was not taken: more, and more each time."""
+        """After a rejected step: mu grows by `growth`, which doubles each time."""
         return Damping(self.mu * self.growth, self.growth * 2)
 
     @property
@@ -117,7 +117,7 @@ class Shortest(NamedTuple):
 
     @property
     def last(self) -> Point | None:
-        """Where it began, once it is clear that rounding lets none be shorter."""
+        """Start of the shortest step, once `PATIENCE` steps show that rounding lets none be shorter."""
         return self.at if self.since >= PATIENCE else None
 
 
@@ -134,7 +134,7 @@ def acceptable(move: Move, there: Point, ratio: float) -> bool:
 
 
 def given_up(move: Move, here: Point, shortest: Shortest) -> Status | None:
-    """How a rejected step ends the search: no damping is left to try once its fall is below the last digit of f."""
+    """Status if a rejected step ends the search: its predicted fall is below the last digit of f; None otherwise."""
     if move.step.predicted > sys.float_info.epsilon * here.cost:
         return None
     return Status.PRECISION if shortest.length <= NEAR else Status.STUCK

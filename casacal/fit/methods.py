@@ -44,7 +44,7 @@ METHODS: Mapping[str, NamedMethod] = {
     "ipopt": NamedMethod(module="ipopt", minimises=True, quiet=True),
     "plane-only": NamedMethod(module="controls", no_loss=_CONTROL, quiet=True, parameters_only=True),
 }
-"""By the name that `--method` takes; a hyphen there is an underscore in Python."""
+"""Methods by the name that `--method` takes; a hyphen there is an underscore in Python."""
 
 
 def method_of(name: str) -> Any:

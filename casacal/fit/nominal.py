@@ -1,8 +1,7 @@
-"""What the nominal robot says of samples, and where things stand that have no nominal value.
+"""Poses, tips and plungers of the nominal robot at samples, and nominal values of unknowns that declare none.
 
-Poses, tips, plungers, and what each row holds beside its joint values. What has no nominal value and no formula of its
-instrument stands where residuals are least: the robot stays as drawn, the unknowns are fitted to the rows of their
-instrument from places and directions at random, and the best of these fits is where `calibrate` begins.
+An unknown without a nominal value, for which its instrument has no formula, is fitted: the robot stays as drawn, and
+from random places and directions residuals of the instrument's rows are minimised. `calibrate` begins at the best fit.
 """
 
 from __future__ import annotations
@@ -95,8 +94,8 @@ def _nominal_inputs(
         nominal, size = unknowns[key].nominal, unknowns[key].nominal_size
         constants.append(proposed.get(key, np.full(size, np.nan)) if nominal is None else nominal)
     own = _instrument_columns(problem, i, samples)
-    beside = len(model.names) - len(own)  # terms vanish at the nominal, whatever they ask for
-    data = np.column_stack([samples.joints, *own.values(), *np.zeros((beside, len(samples)))])
+    of_terms = len(model.names) - len(own)  # terms vanish at the nominal, whatever they ask for
+    data = np.column_stack([samples.joints, *own.values(), *np.zeros((of_terms, len(samples)))])
     return np.zeros(model.residual.numel_in(0)), np.concatenate(constants), data
 
 
@@ -122,10 +121,10 @@ def _instrument_columns(problem: Problem, i: int, samples: Samples) -> dict[str,
 STARTS = 30  # places and directions from which they are sought
 ALIKE, ENOUGH = 1e-3, 6  # part of the least cost within which fits end alike, and how many of these are enough
 ROWS = 200  # rows of each that suffice for a beginning
-STEPS = 40  # of each fit
+STEPS = 40  # steps of each fit
 SMALLEST = 100.0  # extent of the tips, mm, below which it says nothing of how far away things stand
 FAR = 10.0  # extents of the workspace, or rad, to which what rows hardly see is held
-UNSEEN = 1e-9  # the same of what they do not see at all, in units of the residual
+UNSEEN = 1e-9  # pull on directions that rows do not see at all, in units of the residual
 
 
 @dataclass(frozen=True)
@@ -146,7 +145,7 @@ class _SoughtRows:
     model: RowModel
     data: Array
     parts: Mapping[str, tuple[Index, Index, Index]]
-    """Of each that is sought its rows (k, 1), and its positions in z and u."""
+    """Rows (k, 1) of each unknown that is sought, and its positions in z and u."""
 
     def fitted(self, begin: Array, c: Array, pull: Array) -> Any:
         """Least squares from `begin` (u,), with a pull towards zero; None where something is not finite on the way."""
@@ -175,9 +174,9 @@ class _SoughtRows:
 
 
 def sought(problem: Problem, i: int, samples: Samples, places: Sequence[Place]) -> dict[str, Array]:
-    """Nominals, by name, of what has none among all unknowns of instrument `i`.
+    """Fitted nominals, by name, of the unknowns of instrument `i` that have none.
 
-    Raises ProblemError where no row depends on one, and where residuals are not finite wherever these stand.
+    Raises ProblemError where no row depends on one, and where no start gives finite residuals.
     """
     wanted = [place for place in places if place.nominal is None]
     taken = np.unique(np.concatenate([place.rows[:: -(-len(place.rows) // ROWS) or 1] for place in wanted]))
@@ -189,12 +188,12 @@ def sought(problem: Problem, i: int, samples: Samples, places: Sequence[Place]) 
     z_at = _columns({key: unknown.size for key, unknown in unknowns.items()})
     c_at = _columns({key: unknowns[key].nominal_size for key in model.constants})
     u_at = _columns({place.name: place.unknown.size for place in wanted})
-    seen = {place.name: np.flatnonzero(np.isin(taken, place.rows))[:, None] for place in places}
+    r_at = {place.name: np.flatnonzero(np.isin(taken, place.rows))[:, None] for place in places}
     for place in places:
         if place.nominal is not None and place.key in c_at:
-            c[seen[place.name], c_at[place.key]] = place.nominal
-    rows = _SoughtRows(model, data, {each.name: (seen[each.name], z_at[each.key], u_at[each.name]) for each in wanted})
-    starts = {place.name: (seen[place.name], c_at[place.key]) for place in wanted}
+            c[r_at[place.name], c_at[place.key]] = place.nominal
+    rows = _SoughtRows(model, data, {each.name: (r_at[each.name], z_at[each.key], u_at[each.name]) for each in wanted})
+    starts = {place.name: (r_at[place.name], c_at[place.key]) for place in wanted}
     found, nominals, c = _best_of_many(rows, wanted, sight.tips, c, starts)
     if found is None:
         what = f"'{wanted[0].key}' of {type(problem.instruments[i]).__name__} has no nominal value"
@@ -205,7 +204,7 @@ def sought(problem: Problem, i: int, samples: Samples, places: Sequence[Place]) 
         if place.unknown.size and not of_rows[:, u_at[place.name]].any():
             what = f"No row depends on '{place.name}' of {name}, which has no nominal value"
             raise ProblemError(what, "Give it one, or leave it out")
-    # what rows hardly see would be moved far by what they miss, the drawn arm's errors
+    # directions that rows hardly see would be moved far by errors of the drawn arm
     units = np.array([unit for place in wanted for unit in place.unknown.units])
     reach = np.where(units == "mm", FAR * _extent(sight.tips), np.where(units == "rad", FAR, np.inf))
     missed = float(np.sqrt(np.mean(found.fun[: -found.x.size] ** 2)))
@@ -242,7 +241,7 @@ def _best_of_many(
 
 
 def _extent(tips: Array) -> float:
-    """How far apart the tips (N, 3; mm) are, or how far they might be where they are all at one place."""
+    """Extent of the tips (N, 3; mm), at least `SMALLEST`."""
     return max(float(np.ptp(tips, axis=0).max()), SMALLEST)
 
 

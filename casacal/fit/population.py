@@ -33,7 +33,7 @@ class Search:
             )
         self.problem, self.scale, self.loss = problem, width * problem.start_std, loss
         self.candidates = max(budget // problem.rows, 1)
-        """How many candidates the budget allows."""
+        """Number of candidates that the budget allows."""
         self.spent, self.gradients = 0, 0
         self.best_cost, self.best = np.inf, problem.x0.copy()
         self.history: list[tuple[int, float]] = []

@@ -1,4 +1,4 @@
-"""Where each unknown is in x, what each row sees of it, and whether rows suffice: settled when samples are bound."""
+"""Layout of x: the place of each unknown, its nominal, and whether rows suffice; settled when samples are bound."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def instances(instrument: Instrument, key: str, unknown: Unknown, samples: Sampl
     return list(have.rows().items())
 
 
-def _check_asked(problem: object, samples: Sequence[object]) -> None:
+def _check_arguments(problem: object, samples: Sequence[object]) -> None:
     """Raise ProblemError for what is no problem, no samples, or not a set for each instrument."""
     if not isinstance(problem, Problem):
         raise ProblemError(f"Got {came(problem)} as the problem", "Give a Problem; load_problem(path).problem is one")
@@ -88,7 +88,7 @@ ENOUGH = 20_000  # rows of a face that propose where it is
 
 @dataclass(frozen=True, eq=False)
 class Slot(Value):
-    """One instance of an unknown, and where its local coordinates stand in x."""
+    """One instance of an unknown, and the place of its local coordinates in x."""
 
     key: str
     unknown: Unknown
@@ -96,8 +96,8 @@ class Slot(Value):
     nominal: Array
     first: int
     datum: bool
-    beside: str = ""
-    """The term beside the geometry that it belongs to, by its key."""
+    term: str = ""
+    """Key of the term beside the geometry that it belongs to; empty for the geometry."""
 
     @property
     def name(self) -> str:
@@ -135,23 +135,23 @@ class Slot(Value):
 
 
 def nominals(slots: Sequence[Slot]) -> dict[str, Array]:
-    """Nominal values by name, of what does not differ by label."""
+    """Nominal values, by name, of unknowns that do not differ by label."""
     return {slot.name: slot.nominal for slot in slots if slot.label is None}
 
 
 def make_slots(problem: Problem, samples: Sequence[Samples], known: Mapping[str, Array] | None = None) -> list[Slot]:
     """Lay out x: the robot's parameters, then each instrument's unknowns, those that differ by label last.
 
-    What is known, by name of its slot, has that nominal however few rows see it. Raises ProblemError as `bind` does.
+    known: nominals by name of the slot, kept however few rows see them. Raises ProblemError as `bind` does.
     """
-    _check_asked(problem, samples)
+    _check_arguments(problem, samples)
     slots: list[Slot] = []
     taken: set[str] = set()
     fits_all, known = known is None, known or {}
 
-    def add(key: str, unknown: Unknown, label: str | None, nominal: Array, datum: bool, beside: str = "") -> None:
+    def add(key: str, unknown: Unknown, label: str | None, nominal: Array, datum: bool, term: str = "") -> None:
         first = slots[-1].first + slots[-1].unknown.size if slots else 0
-        slots.append(Slot(key, unknown, label, read_only(nominal), first, datum, beside))
+        slots.append(Slot(key, unknown, label, read_only(nominal), first, datum, term))
         taken.add(slots[-1].name)
 
     for key, unknown in problem.robot.parameters.items():

@@ -45,13 +45,13 @@ class RowKind:
     unknowns: tuple[str, ...]
     """Names of what they see, in the order of the problem's symbols: "alpha", ..., "plane.floor"."""
     columns: Index
-    """Where z stands in x (nz,)."""
+    """Positions of z in x (nz,)."""
     constants: Array
     """c (nc,)."""
     samples: Index
     """Which samples of the instrument they are (N,)."""
     first: int
-    """Where the residuals of the instrument begin among all."""
+    """Position of the instrument's first residual among all."""
     data: Array
     """d of each row (N, nd): rad, mm."""
     noise: Array
@@ -59,7 +59,7 @@ class RowKind:
 
     @property
     def residuals(self) -> Index:
-        """Where their residuals stand among all (N * m,)."""
+        """Positions of their residuals among all (N * m,)."""
         m = self.model.components
         return (self.first + self.samples[:, None] * m + np.arange(m)).ravel()
 
@@ -79,9 +79,9 @@ class SymbolicProblem:
         self._prior_rows, self._slots, found, first = problem.prior_rows, tuple(slots), [], 0
         for i, block in enumerate(blocks):
             for k, some in enumerate(block.slots):
-                rows, seen = block.by_pattern[k], tuple(slot.name for slot in some)
+                rows, names = block.by_pattern[k], tuple(slot.name for slot in some)
                 constants, columns, noise = block.constants[k], block.columns[k], block.noise[rows]
-                found.append(RowKind(block.model, i, seen, columns, constants, rows, first, block.rows(rows), noise))
+                found.append(RowKind(block.model, i, names, columns, constants, rows, first, block.rows(rows), noise))
             first += block.noise.size
         self.kinds, self._rows = tuple(found), first
         """The rows, kind by kind."""
@@ -180,12 +180,12 @@ class SymbolicProblem:
         n, model, kept = len(self.names), kind.model, Cubature(kind.model.residual, "blocks")
         mean, root = ca.MX.sym("mean", n), ca.MX.sym("root", n, n)
         d, w = ca.MX.sym("d", model.residual.numel_in(2)), ca.MX.sym("w", model.components)
-        seen, once = kind.columns.tolist(), ca.vertcat(ca.DM(kind.constants), d)
+        columns, once = kind.columns.tolist(), ca.vertcat(ca.DM(kind.constants), d)
         base, unit = ca.DM(self.x0[kind.columns]), ca.DM(self.start_std[kind.columns])
         new_mean, new_root = mean, root
         for component in range(model.components):
-            centre = ca.repmat(base + unit * new_mean[seen], 1, n)
-            spread = ca.repmat(math.sqrt(n) * unit, 1, n) * new_root[seen, :]
+            centre = ca.repmat(base + unit * new_mean[columns], 1, n)
+            spread = ca.repmat(math.sqrt(n) * unit, 1, n) * new_root[columns, :]
             points = ca.horzcat(centre + spread, centre - spread).T
             new_mean, new_root, _ = kept.step(n, component)(points, once, 1 / w[component], new_mean, new_root)
         names, made = ["mean", "root", "d", "w"], ["mean_next", "root_next"]
@@ -202,7 +202,7 @@ class SymbolicProblem:
         return column
 
     def _mapped(self, kind: RowKind, x: ca.MX, build: Any) -> list[ca.MX]:
-        """What `build` makes of each piece of the rows of a kind, at x; pieces of one size share a function."""
+        """Result of `build` for each piece of the rows of a kind, at x; pieces of one size share a function."""
         z, c = x[kind.columns.tolist()], ca.DM(kind.constants)
         made: list[ca.MX] = []
         for first in range(0, len(kind.samples), PIECE):

@@ -32,16 +32,16 @@ def row_kernels(slopes: ca.Function, backend: str | None = None) -> Kernels:
     operations that are not elementary.
 
     """
-    asked = backend if backend is not None else os.environ.get(VARIABLE, "auto")
-    if asked not in BACKENDS:
-        raise ProblemError(f"There is no back end '{asked}'", f"Known: {', '.join(BACKENDS)}")
+    requested = backend if backend is not None else os.environ.get(VARIABLE, "auto")
+    if requested not in BACKENDS:
+        raise ProblemError(f"There is no back end '{requested}'", f"Known: {', '.join(BACKENDS)}")
     program = _read(slopes.serialize())
     parameters = sum(slopes.numel_in(i) for i in range(slopes.n_in() - 1))
-    if asked != "blocks":
+    if requested != "blocks":
         try:
             return NativeKernels(program, parameters)
         except CompilerError as error:
-            if asked == "c":
+            if requested == "c":
                 raise ProblemError(f"The back end c cannot be used: {error}", "Use blocks, or auto") from error
             _notice(str(error))
     return BlockKernels(program, parameters)

@@ -25,9 +25,9 @@ class FilterRows:
     """Rows that a filter takes in, and the coordinates (x - x0) / scale (n,) of its belief."""
 
     pattern: NDArray[np.integer[Any]]
-    """Of each sample (N,)."""
+    """Pattern of each sample (N,)."""
     columns: NDArray[np.integer[Any]]
-    """Where z stands in x, by pattern (patterns, z)."""
+    """Positions of z in x, by pattern (patterns, nz)."""
     x0: Array
     scale: Array
     once: Array
@@ -79,7 +79,7 @@ class Cubature:
     def _by_blocks(self, first: int, rows: FilterRows, mean: Array, root: Array) -> tuple[int, Array, Array, Array]:
         n, count, once = rows.x0.size, rows.weight.size, rows.once
         means, trace = np.empty((count, n)), np.empty((count, 3))
-        # what a step reads and writes stays in place, so that CasADi is told where only once; S column by column
+        # buffers of a step stay in place, so that CasADi is given their addresses only once; S column by column
         points, data, w = np.empty((self._unknowns, 2 * n)), np.empty(once.shape[1]), np.empty(1)
         up, down = points[:, :n], points[:, n:]
         center, turned, figures = mean.copy(), root.T.copy(), np.empty(3)
@@ -88,12 +88,12 @@ class Cubature:
         inputs, outputs = (points, data, w, center, turned), (new_center, new_turned, figures)
         steps = [step.bound(inputs, outputs) for step in kept]
         x0, scale, reach = rows.x0, rows.scale, math.sqrt(n)
-        sights = [(seen, x0[seen], scale[seen], reach * scale[seen, None]) for seen in rows.columns]
+        sights = [(columns, x0[columns], scale[columns], reach * scale[columns, None]) for columns in rows.columns]
         weights, stop = rows.weight.ravel(), count
         for r in range(first, count):
             sample, component = divmod(r, self._components)
-            seen, base, unit, reached = sights[rows.pattern[sample]]
-            z, spread = (base + unit * center[seen])[:, None], turned.T[seen] * reached
+            columns, base, unit, reached = sights[rows.pattern[sample]]
+            z, spread = (base + unit * center[columns])[:, None], turned.T[columns] * reached
             np.add(z, spread, out=up)
             np.subtract(z, spread, out=down)
             data[:], w[0] = once[sample], weights[r]

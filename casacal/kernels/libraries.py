@@ -32,7 +32,7 @@ FLAGS = ("-O2", "-fpeel-loops", "-fno-math-errno", "-fno-trapping-math", "-share
 """Without -ffast-math: not-a-number and infinity stay what they are. Products may be fused with sums. Of -O3 only the
 peeling of loops pays; the rest takes a third of the time that a pose of seven joints takes to compile."""
 TUNING = (("-march=native", "-fopenmp-simd"), ("-mcpu=native", "-fopenmp-simd"), ("-fopenmp-simd",), ())
-"""What compilers are asked in turn until one set is understood: Apple's do not know all of them."""
+"""Sets of compiler options, tried in turn until one is accepted: Apple's compilers do not know all of them."""
 LIBRARIES = () if WINDOWS else ("-lm",)
 SUFFIX = ".dll" if WINDOWS else ".so"
 SECONDS, ANSWERS = 60.0, 15.0  # how long a compiler may take to compile, and to say its version
@@ -45,7 +45,7 @@ class CompilerError(Exception):
 
 @dataclass(frozen=True)
 class Compiler:
-    """How a C compiler is called, as a list of words, and the first line of its version."""
+    """Command line of a C compiler, as words, and the first line of its version."""
 
     command: tuple[str, ...]
     version: str
@@ -59,7 +59,7 @@ class Compiler:
         code.write_text(source, encoding="utf-8")
         reasons = []
         for tuning in TUNING:
-            ended, said = _told([*self.command, *FLAGS, *tuning, str(code), "-o", str(made), *LIBRARIES], SECONDS)
+            ended, said = _run([*self.command, *FLAGS, *tuning, str(code), "-o", str(made), *LIBRARIES], SECONDS)
             if ended is None:  # whatever it waits for, it would again
                 raise CompilerError(f"{self} took longer than {SECONDS:g} s")
             if ended == 0:
@@ -74,21 +74,21 @@ class Compiler:
 
 def compiler() -> Compiler:
     """The C compiler: CC, else gcc, clang or cc (on Windows gcc); raises CompilerError."""
-    found = _asked(os.environ.get("CC", ""))
+    found = _find_compiler(os.environ.get("CC", ""))
     if isinstance(found, str):
         raise CompilerError(found)
     return found
 
 
 @functools.cache
-def _asked(given: str) -> Compiler | str:
-    """The compiler, asked once in a process, or why there is none."""
-    names = [given] if given.strip() else ["gcc"] if WINDOWS else ["gcc", "clang", "cc"]
+def _find_compiler(requested: str) -> Compiler | str:
+    """The compiler that `requested` (CC) names, or a usual one; else the reason why there is none."""
+    names = [requested] if requested.strip() else ["gcc"] if WINDOWS else ["gcc", "clang", "cc"]
     command = next((words for name in names if (words := _command(name))), None)
     if command is None:
         return f"no C compiler found ({', '.join(names)})"
     try:
-        ended, said = _told([*command, "--version"], ANSWERS)
+        ended, said = _run([*command, "--version"], ANSWERS)
     except CompilerError as error:
         return str(error)
     if ended != 0:
@@ -109,8 +109,8 @@ def _command(name: str) -> tuple[str, ...] | None:
     return None
 
 
-def _told(command: list[str], seconds: float) -> tuple[int | None, str]:
-    """Exit code (None: not in time) and first line of what a program says; raises CompilerError when none starts."""
+def _run(command: list[str], seconds: float) -> tuple[int | None, str]:
+    """Exit code (None after `seconds`) and first line of output; raises CompilerError where nothing starts."""
     try:
         process = subprocess.Popen(
             command,
@@ -162,8 +162,8 @@ def load_library(source: str, functions: Sequence[str]) -> ctypes.CDLL:
     its place and renamed, so that processes that race see a whole file or none.
     """
     chosen, folder = compiler(), cache_folder()
-    told = "\n".join([source, *chosen.command, chosen.version, *FLAGS, str(TUNING), _processor()])
-    name = hashlib.sha256(told.encode()).hexdigest()[:32]
+    recipe = "\n".join([source, *chosen.command, chosen.version, *FLAGS, str(TUNING), _processor()])
+    name = hashlib.sha256(recipe.encode()).hexdigest()[:32]
     try:
         key = _key(_private(folder))
         for found in sorted(folder.glob(f"{name}-*{SUFFIX}")):
@@ -189,8 +189,8 @@ def load_library(source: str, functions: Sequence[str]) -> ctypes.CDLL:
 
 def cache_folder() -> Path:
     """CASACAL_CACHE, else casacal/ in the user's cache folder; raises CompilerError where there is none."""
-    given = os.environ.get("CASACAL_CACHE")
-    return Path(given) if given else _users_folder()
+    folder = os.environ.get("CASACAL_CACHE")
+    return Path(folder) if folder else _users_folder()
 
 
 def _users_folder() -> Path:

@@ -151,7 +151,7 @@ class _Printer:
 PAD = 8  # lanes are padded to a multiple of this, so that loops over them need no tail
 LARGE = 1 << 20  # bytes of a Jacobian beyond which it is written around the caches, straight to memory
 FUNCTIONS = ("residual", "slopes", "costs", "normal", "accumulate", "damped_step", "extended_pass")
-"""What the C source of a row model defines."""
+"""Functions that the C source of a row model defines."""
 
 
 class NativeKernels(Kernels):
@@ -237,7 +237,7 @@ class PackedPieces:
         self._structs = (_PackedPiece * len(pieces))(*(self._packed(piece) for piece in pieces))
 
     def address(self, k: int) -> int:
-        """Where piece k stands, and those after it."""
+        """Address of piece k and of those after it."""
         return ctypes.addressof(self._structs[k])
 
     def _packed(self, piece: Piece) -> _PackedPiece:
@@ -268,9 +268,9 @@ class PackedPieces:
             piece.size + PAD * (len(piece.lanes.d) + piece.kernels.components * (piece.kernels.unknowns + 1))
             for piece in self.pieces
         )
-        given = (np.ascontiguousarray(place, dtype=ctypes.c_long), *map(np.ascontiguousarray, (x0, scale)))
+        read = (np.ascontiguousarray(place, dtype=ctypes.c_long), *map(np.ascontiguousarray, (x0, scale)))
         made = (mean, covariance, means, innovations, stds, np.empty(max(needed) + 4 * n))
-        run(rows, n, self.address(0), *(each.ctypes.data for each in (*given, *made)))
+        run(rows, n, self.address(0), *(each.ctypes.data for each in (*read, *made)))
         return means, innovations, stds
 
 
@@ -314,7 +314,7 @@ class NativeNormal:
         return float(total[-1]), total[n * n : -1], total[: n * n].reshape(n, n)
 
     def step(self, x: Array, gradient: Array, information: Array, damping: float) -> tuple[Array, float, float] | None:
-        """Where a damped step leads from x (n,), its squared length, the fall it predicts; None when it has none."""
+        """End of a damped step from x (n,), its squared length and predicted fall of the cost; None without a step."""
         n = x.size
         with self._lock:
             self._x[:] = x

@@ -128,10 +128,10 @@ def _values(lines: Sequence[str], elements: Sequence[Sequence[Any]]) -> list[ca.
             argument = elements[_place(words[0], len(elements))]
             values.append(ca.SX(argument[_place(words[1], len(argument))]))
             continue
-        given = [values[_place(word, len(values))] for word in words]
-        if (name, len(given)) not in ARITY:
+        arguments = [values[_place(word, len(values))] for word in words]
+        if (name, len(arguments)) not in ARITY:
             raise ValueError(f"'{line[:40]}' is no operation")
-        values.append((ca.SX.unary if len(given) == 1 else ca.SX.binary)(OPERATIONS[name], *given))
+        values.append((ca.SX.unary if len(arguments) == 1 else ca.SX.binary)(OPERATIONS[name], *arguments))
     return values
 
 
@@ -255,7 +255,7 @@ class Program:
         return replace(self, outputs=(self.outputs[output],))
 
     def position(self, value: int) -> int:
-        """Where a value that is an element of an argument of role "once" stands in p."""
+        """Position in p of an element of an argument of role "once"."""
         argument, element = self.operations[value].element
         return self.starts[argument] + element
 
@@ -295,8 +295,8 @@ def read_program(function: ca.Function, roles: Sequence[Role], *, ahead: bool = 
     operations, results = operations_of(function)
     made: list[int] = []
     for each in operations:
-        given = each.op in (ca.OP_CONST, ca.OP_INPUT)
-        made.append(builder.add(each) if given else builder.apply(elementary(each.op), *(made[i] for i in each.args)))
+        leaf = each.op in (ca.OP_CONST, ca.OP_INPUT)
+        made.append(builder.add(each) if leaf else builder.apply(elementary(each.op), *(made[i] for i in each.args)))
     outputs = tuple(tuple(made[value] for value in result) for result in results)
     sizes = [function.numel_in(i) if role == "once" else 0 for i, role in enumerate(roles)]
     starts = tuple(itertools.accumulate(sizes[:-1], initial=0))
@@ -314,11 +314,11 @@ def _by_casadi(op: int) -> Callable[..., Any]:
     """An operation that NumPy does not have, or has with other digits, by CasADi's machine."""
 
     def evaluated(*values: Any) -> Any:
-        given = np.broadcast_arrays(*values)
-        symbols = [ca.MX.sym("a", each.size) for each in given]
+        arrays = np.broadcast_arrays(*values)
+        symbols = [ca.MX.sym("a", each.size) for each in arrays]
         value = ca.MX.unary(op, symbols[0]) if len(symbols) == 1 else ca.MX.binary(op, symbols[0], symbols[1])
-        found = ca.Function("f", symbols, [value])(*(ca.DM(each.ravel()) for each in given))
-        return np.asarray(found).reshape(given[0].shape)
+        found = ca.Function("f", symbols, [value])(*(ca.DM(each.ravel()) for each in arrays))
+        return np.asarray(found).reshape(arrays[0].shape)
 
     return evaluated
 
@@ -349,7 +349,7 @@ FORMS: dict[int, tuple[Callable[..., Any], str]] = {
     ca.OP_ERFINV: (_by_casadi(ca.OP_ERFINV), ""), ca.OP_REMAINDER: (_by_casadi(ca.OP_REMAINDER), "remainder({0}, {1})"),
     ca.OP_PRINTME: (_by_casadi(ca.OP_PRINTME), ""),
 }  # fmt: skip
-"""What each operation is in NumPy and in C; no text where it has no form there."""
+"""NumPy function and C text of each operation; an empty text where C has none."""
 
 NUMPY = {op: numpy for op, (numpy, _) in FORMS.items()}
 C = {op: text for op, (_, text) in FORMS.items() if text}

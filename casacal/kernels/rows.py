@@ -1,4 +1,4 @@
-"""What every back end does with rows, and rows as it reads them, column by column."""
+"""Interface of the back ends that evaluate rows, and rows packed column by column as they read them."""
 
 from __future__ import annotations
 
@@ -72,16 +72,16 @@ class Kernels(ABC):
 
 @dataclass(frozen=True)
 class Piece:
-    """Some rows that see the same unknowns, on their kernels."""
+    """Rows that depend on the same unknowns, with their kernels."""
 
     kernels: Kernels
     lanes: Lanes
     numbers: Index
-    """Where their residuals stand among all (n, m)."""
+    """Positions of their residuals among all (n, m)."""
     columns: Index
-    """Where z stands in x."""
+    """Positions of z in x."""
     constants: Array
-    """What follows z in p."""
+    """Constants, which follow z in p."""
 
     @property
     def size(self) -> int:

@@ -18,7 +18,7 @@ from casacal.model.robot import PoseFunction, Robot
 from casacal.model.unknown import PRIOR_STD, Parameter
 from casacal.values import is_real
 
-CARRIER = "carrier_"  # what the names of the carrier's parameters begin with
+CARRIER = "carrier_"  # prefix of the carrier's parameters
 LEAST_TRAVEL, MOST_TRAVEL = 50.0, 1e6  # travel of a rail, mm: what is shorter was meant in metres
 MOST_TURNS = 10  # turns of a table from one limit to the other: more were meant in degrees
 SCALE = 0.1  # millimetres by which a metre of a rack or a spindle may well be long or short
@@ -109,8 +109,8 @@ def turntable(
     return Robot(name, (Joint("revolute", lower, upper),), _about, parameters)
 
 
-def _check_robots(what: str, *given: Any) -> None:
-    for robot in given:
+def _check_robots(what: str, *robots: Any) -> None:
+    for robot in robots:
         if not isinstance(robot, Robot):
             raise ProblemError(f"Got {came(robot)} as {what}", "Give two Robots")
 
@@ -139,7 +139,7 @@ class Carried:
         return chain(self.by(theirs, q[: self.count]), self.arm(p, q[self.count :]))
 
 
-OTHER = "other_"  # what the names of the other arm's parameters begin with
+OTHER = "other_"  # prefix of the other arm's parameters
 
 
 def facing(one: Robot, other: Robot, *, shared: int = 0, name: str | None = None) -> Robot:

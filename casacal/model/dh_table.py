@@ -117,9 +117,9 @@ class DHTable:
         if self.parallel:
             shift = 1 if self.convention == "standard" else 0  # where the twist beside each beta stands
             stds = None if twist_std is None else spread(twist_std, len(self.alpha), "twist_std")
-            beside = None if stds is None else [float(stds[row - shift]) for row in self.parallel]
+            beta_std = None if stds is None else [float(stds[row - shift]) for row in self.parallel]
             labels = tuple(str(int(row)) for row in self.parallel)
-            found["beta"] = Parameter(self.beta, unit="rad", prior_std=beside, labels=labels)
+            found["beta"] = Parameter(self.beta, unit="rad", prior_std=beta_std, labels=labels)
         return found
 
     def at(self, p: Any) -> DHTable:
@@ -156,7 +156,7 @@ OFFSETS = tuple(f"offsets_{unit}" for unit in (*ANGLE, *LENGTH))
 LIKE = {"parallel": "[1, 2]", "signs": "[1, 2]", **dict.fromkeys(OFFSETS, "[0.0, 90.0]"), "coupling": "[[3, 2, -1.0]]"}
 """Lists that say something of all joints, and what each looks like in TOML."""
 BLOCK_FIELDS = ("name", "convention", *LIKE)
-MISNAMED = {"type": "kind", "joint_type": "kind"}  # what other tables call a field that is called otherwise here
+MISNAMED = {"type": "kind", "joint_type": "kind"}  # names of fields in other tables, and the name here
 HALF_TURN = math.pi * (1 + 1e-6)
 KINDS = {"revolute": "revolute", "r": "revolute", "prismatic": "prismatic", "p": "prismatic"}
 
@@ -190,11 +190,11 @@ def table_of(file: str, block: Mapping[str, Any], rows: FileRows) -> DHTable:
     beta = dict.fromkeys(parallel, 0.0)
     for i, (where, row) in enumerate(rows, 1):
         if any(f"beta_{unit}" in row for unit in ANGLE):
-            given = quantity(row, "beta", ANGLE, where)
-            if given and i not in parallel:
+            beta_i = quantity(row, "beta", ANGLE, where)
+            if beta_i and i not in parallel:
                 fix = "Name it there, if its axis is parallel to the next one"
                 raise ProblemError(f"{where}: row {i} has beta but is not named in parallel", fix)
-            beta[i] = given
+            beta[i] = beta_i
     conventions = conventions_of(file, block, joints)
     with _located(file):
         return DHTable(
@@ -273,11 +273,11 @@ def joint_of(row: Row, where: str, number: int) -> Joint:
     if kind is None:
         raise ProblemError(f"{where}: the kind is '{row['kind']}'", "Use revolute or prismatic (R, P)")
     units = ANGLE if kind == "revolute" else LENGTH
-    given = [name for name in row if name.split("_")[0] in ("lower", "upper")]
-    wrong = [name for name in given if name.split("_")[1] not in units]
+    limits = [name for name in row if name.split("_")[0] in ("lower", "upper")]
+    wrong = [name for name in limits if name.split("_")[1] not in units]
     if wrong:
         raise ProblemError(f"{where}: a {kind} joint has {wrong[0]}", f"Give its limits in {' or '.join(units)}")
-    if not given:
+    if not limits:
         bound = math.pi if kind == "revolute" else 1000.0
         return Joint(kind, -bound, bound)  # type: ignore[arg-type]
     lower, upper = (quantity(row, side, units, where) for side in ("lower", "upper"))

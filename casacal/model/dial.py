@@ -29,7 +29,7 @@ from casacal.values import Array, FrozenMapping, is_real, plain
 
 
 def dial_gain(percent: float = 0.15) -> Parameter:
-    """How much too much or too little a dial may show of every way: a prior, from its certificate, else 0.15 %.
+    """Prior of a dial's gain error, in percent: from its certificate, else 0.15 %.
 
     What touches of planes leave of a wrong gain is too small to be seen: geometry absorbs nearly all of it, as an arm
     that is too large or too small. So this has to be said.
@@ -43,7 +43,7 @@ def dial_cycle(micrometres: float = 3.0) -> Parameter:
 
 
 def dial_zero(std: float = 10.0, *, per: str = "session") -> Parameter:
-    """Where a dial was set to zero anew: an unknown for each value of a column, with a prior of so many mm."""
+    """Shift of a dial's zero where it was set anew: an unknown for each value of a column, with a prior in mm."""
     return Parameter(0.0, unit="mm", prior_std=std, per=per)
 
 
@@ -236,7 +236,7 @@ class DialOnPlane(Instrument):
         return transform_point(pose, p.tool + self.reach(p, row) * p.plunger)
 
     def reach(self, p: Any, row: Any) -> Expression:
-        """How far the tip truly stands out along the plunger, mm: sign * reading, with what the dial gets wrong."""
+        """True extension of the tip along the plunger, mm: sign * reading, corrected by the dial's gain and cycle."""
         way = shown = getattr(row, "reading", 0.0)
         if self.gain is not None:
             way += shown * p.gain / 100
@@ -246,7 +246,7 @@ class DialOnPlane(Instrument):
         return self.sign * way
 
     def shifted(self, normal: Expression, pose: Expression, p: Any) -> Expression:
-        """How far the tip stands off along a normal (3) because the dial was set to zero anew, mm.
+        """Shift of the tip along a normal (3) since the dial was set to zero anew, mm.
 
         The tip itself is that of one zero, so that where others stand is no matter of the arm.
         """
@@ -327,8 +327,8 @@ class DialOnBody(DialOnPlane):
             raise ProblemError("Some rows are labelled with a face that the body does not have", "Add its normal")
         if key == "body":
             distinct, which = np.unique(normals, axis=0, return_inverse=True)
-            seen = [sight.touched_normal(which.ravel() == i) for i in range(len(distinct))]
-            return Frame.encode(transform(rotation_between(distinct, np.array(seen))[0], np.zeros(3)))
+            touched = [sight.touched_normal(which.ravel() == i) for i in range(len(distinct))]
+            return Frame.encode(transform(rotation_between(distinct, np.array(touched))[0], np.zeros(3)))
         if key == "offset":
             normal = sight.touched_normal(np.ones(len(normals), dtype=bool))
             return np.array([float((normal * sight.tips).sum(1).mean())])

@@ -1,4 +1,4 @@
-"""Directions, planes and frames, free or held as a whole, and what points, rotations and poses say of them."""
+"""Directions, planes and frames, free or held as a whole, and their fits to points, rotations and poses."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ class Whole(Unknown):
     parts: ClassVar[tuple[tuple[str, str], ...]]
     """Suffix of the name of each local coordinate, and its unit."""
     unit_length: ClassVar[int] = 3
-    """How many raw coordinates, the first ones, are a vector or quaternion of length one."""
+    """Number of leading raw coordinates that form a unit vector or quaternion."""
     held_as_proposed: bool
     unsaid: ClassVar[tuple[str, str]]
-    """What it lacks when it is held without a nominal, and what to say then."""
+    """Words for a missing nominal value of a held unknown, and the fix to suggest."""
 
     def __post_init__(self) -> None:
         assert is_dataclass(self)
@@ -41,12 +41,12 @@ class Whole(Unknown):
 
     @property
     def size(self) -> int:
-        """One for each part, or none when held."""
+        """Number of local coordinates: one for each part, or none when held."""
         return len(self.parts) if self.free else 0
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Those of the parts."""
+        """Units of the local coordinates."""
         return tuple(unit for _, unit in self.parts)[: self.size]
 
     @property
@@ -61,13 +61,13 @@ class Whole(Unknown):
         return start_stds(self.prior_stds, start, self.units, f"a {type(self).__name__.lower()}")
 
     def _each(self, pair: float | tuple[float, float]) -> Array:
-        """For each local coordinate (size,) one of two numbers: in rad, in mm."""
+        """Array (size,) of one number for local coordinates in rad and another for those in mm."""
         turn, shift = spread(pair, 2, f"prior_std of a {type(self).__name__.lower()}")
         return np.array([turn if unit == "rad" else shift for unit in self.units])
 
     @property
     def raw_size(self) -> int:
-        """One more than there are tilts or turns and shifts, or none when held."""
+        """Number of raw coordinates: one more than local ones, or none when held."""
         return self.size + 1 if self.free else 0
 
     def raw_constraints(self, raw: Expression) -> list[Expression]:
@@ -75,7 +75,7 @@ class Whole(Unknown):
         return [ca.sumsqr(raw[: self.unit_length]) - 1] if self.free else []
 
     def names(self, key: str) -> tuple[str, ...]:
-        """Such as key.tilt1, key.tilt2."""
+        """Names of the local coordinates, such as key.tilt1, key.tilt2."""
         return tuple(f"{key}.{part}" for part, _ in self.parts)[: self.size]
 
     def with_free(self, free: Sequence[bool]) -> Self:
@@ -173,7 +173,7 @@ class Direction(Whole):
         return "directions", np.asarray(ca.DM(self.at(nominal, local))).ravel()
 
     def placed(self, near: Array, normal: Array) -> Array:
-        """The way a face would look."""
+        """Unit vector (3,), as the normal of a face."""
         del near
         return self.encode(normal)
 
@@ -342,7 +342,7 @@ class Frame(Whole):
 
     @property
     def size(self) -> int:
-        """Six, three when only it turns, or none when held."""
+        """Number of local coordinates: six, three when only its rotation is free, or none when held."""
         return (3 if self.turns_only else 6) if self.free else 0
 
     @property
@@ -457,13 +457,13 @@ def hand_eye(turns: Array, places: Array, quaternions: Array, read: Array) -> tu
     body in the device's frame: w, x, y, z (N, 4), and origins (N, 3; mm).
     """
     apart = np.linalg.svd(np.einsum("kia,kjb->ijab", turns, turns).reshape(9, 9), compute_uv=False)
-    if len(turns) < 3 or apart[0] - apart[1] < APART * apart[0]:  # of turns about one axis the largest two are alike
+    if len(turns) < 3 or apart[0] - apart[1] < APART * apart[0]:  # for turns about one axis the largest two are alike
         return None
-    seen = turns_of(quaternions)
+    observed = turns_of(quaternions)
     # S' M = T B for every row: vec(T B) = (1 x T) vec(B), vec(S' M) = (M' x 1) vec(S')
-    cross = np.einsum("kia,kjb->ijab", seen, turns).reshape(9, 9)
+    cross = np.einsum("kia,kjb->ijab", observed, turns).reshape(9, 9)
     left, _, right = np.linalg.svd(cross)
-    station, body = left[:, 0].reshape(3, 3), right[0].reshape(3, 3)  # of unknown size and common sign
+    station, body = left[:, 0].reshape(3, 3), right[0].reshape(3, 3)  # up to scale and a common sign
     sign = np.sign(np.linalg.det(station)) or 1.0
     station, body = _nearest(sign * station), _nearest(sign * body).T
     # p = S_R (T_R b + t) + s, linear in b and s

@@ -99,21 +99,21 @@ class Words:
     """How people read what an instrument measures."""
 
     residual: str = "residual"
-    """What its residual is, as in "distance from the planes"."""
+    """Name of the residual, as in "distance from the planes"."""
     unit: str = "mm"
     """Unit of the residual."""
     things: str = "samples"
-    """What was measured, as in "the arm misses the held-out planes"."""
+    """Plural noun of the rows measured, as in "the arm misses the held-out planes"."""
     before: str = "before"
-    """What the control M0 fits, as in "planes fitted alone"."""
+    """Words for the fit of the control M0, as in "planes fitted alone"."""
     trusted: str = ""
-    """What its readings take for right and cannot tell, as in "noise, priors and the dial's gain are right"."""
+    """Assumptions that readings cannot test, as in "noise, priors and the dial's gain are right"."""
     group: str = "face"
-    """What rows of one label have in common, as in "each face by the others"."""
+    """Noun for rows of one label, as in "each face by the others"."""
     accuracy: bool = False
     """Whether its residual is the error of the tip itself, all three axes; a distance from a face is not."""
     approach: str = ""
-    """What to see to at each posture, as in "if the dial is at the end of its travel, move along the plunger"."""
+    """Advice for each posture, as in "if the dial is at the end of its travel, move along the plunger"."""
 
 
 Travel: TypeAlias = float | tuple[float, float]
@@ -165,7 +165,7 @@ UNIT_MISTAKES = {
 """Units in which readings may be by mistake, by the factor that corrects them."""
 
 ANGLE_UNITS = {180 / math.pi: "radians, written as degrees", math.pi / 180: "degrees, written as radians"}
-"""The same of angles."""
+"""Units in which angles may be by mistake, by the factor that corrects them."""
 
 RENAME_UNIT = "Correct the unit in the column's name"
 
@@ -257,7 +257,7 @@ class Instrument(Portable, ABC):
 
     @property
     def residual_std(self) -> float:
-        """Standard deviation of what the residual sees beside errors of columns and joints, in its unit."""
+        """Standard deviation of the residual apart from errors of columns and joints, in its unit."""
         return 0.0
 
     @property
@@ -336,7 +336,7 @@ class Instrument(Portable, ABC):
 
     @property
     def words(self) -> Words:
-        """How reports call what it measures."""
+        """Words for reports."""
         return Words(before=f"{' and '.join(self.datum)} fitted alone" if self.datum else "nothing fitted")
 
     @property
@@ -510,8 +510,8 @@ class TracedInstrument(Instrument):
         columns = {name: ca.SX.sym(name) for name in (*instrument.columns, *instrument.known_columns)}
         row = SimpleNamespace(**columns)
         plunger = instrument.plunger_direction(pose, p)
-        seen = instrument.residual(pose, p, row), instrument.tip(pose, p, row)
-        built = (*seen, ca.SX(0, 1) if plunger is None else plunger)
+        written = instrument.residual(pose, p, row), instrument.tip(pose, p, row)
+        built = (*written, ca.SX(0, 1) if plunger is None else plunger)
         graph = ca.Function("instrument", [pose, *symbols, *columns.values()], [ca.densify(ca.SX(e)) for e in built])
         declared = {name: getattr(instrument, name) for name in DECLARED}
         return TracedInstrument(frozen(declared), FrozenMapping(every), graph)
@@ -545,4 +545,4 @@ class TracedInstrument(Instrument):
 
 
 DECLARED = tuple(name for name, item in vars(TracedInstrument).items() if isinstance(item, property))
-"""What an instrument declares of itself."""
+"""Names of the properties that an instrument declares."""

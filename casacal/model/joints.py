@@ -1,4 +1,4 @@
-"""Joints, and what a controller shows of them: signs, offsets and coupling."""
+"""Joints, and a controller's conventions for their values: signs, offsets and coupling."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the links of an arm are, and how they fall as its joints give: found from the flange pose alone."""
+"""Places of an arm's links, and their levers under gravity about the joints, from the flange pose alone."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class Links:
         return ca.Function("levers", [q], [by_model(q if self.conventions is None else self.conventions.to_model(q))])
 
     def to_controller(self, off: Expression) -> Expression:
-        """Small motions of the controller's joints (n,) that are these of the model's."""
+        """Small motions (n,) of the controller's joints that equal small motions of the model's."""
         return off if self.conventions is None else ca.mtimes(ca.DM(np.linalg.inv(self.conventions.matrix)), off)
 
 
@@ -143,5 +143,5 @@ def above_table(robot: Robot, table: float, radius: float = 0.0) -> Callable[[Ar
 
 
 def _foot(axis: Array, point: Array, place: Array) -> Array:
-    """Where on an axis through a point (3) a place (3) is nearest."""
+    """Foot of the perpendicular from a place (3) to an axis through a point (3)."""
     return np.asarray(point + axis * float(axis @ (place - point)))

@@ -14,24 +14,24 @@ from casacal.errors import CasacalError, ProblemError
 from casacal.files import writable
 from casacal.model.dh_table import DHTable, degrees, plain, read_dh_file
 from casacal.model.problem_file import load_problem
-from casacal.model.problem_text import Given, angles, conventions, imported, listed, quoted, tuple_of, word
+from casacal.model.problem_text import Answers, angles, conventions, imported, listed, quoted, tuple_of, word
 from casacal.model.urdf import UrdfChain
 from casacal.pages.drawing import plain_text
 from casacal.values import EMPTY
 
 
 def new_from_dh(
-    name: str, path: str | Path, out: str | Path = ".", *, given: Given | None = None
+    name: str, path: str | Path, out: str | Path = ".", *, answers: Answers | None = None
 ) -> tuple[Path, DHTable]:
     """Write the folder `out`/`name` for a DH file; rows whose axes are parallel are found where the file names none.
 
-    `given` is what is known of dial and maker. Returns the folder and the table. Raises CasacalError when the file
+    answers: what the user knows of dial and maker. Returns the folder and the table. Raises CasacalError when the file
     cannot be read or the folder exists.
     """
     table, source = read_dh_file(path), Path(path).name
     if not table.parallel:
         table = replace(table, parallel=table.parallel_axes(), beta=())
-    told = {
+    context = {
         "origin": f"The {table.convention} DH table of {word(table.name)} from {source}",
         "count": 4 * len(table.alpha),  # beta takes the place of d
         "keys": "alpha, a, d, theta" + (", beta" if table.parallel else ""),
@@ -39,8 +39,8 @@ def new_from_dh(
         "arm": word(table.name),
         "source": word(source),
     }
-    given = given or Given()
-    return _written(name, out, {"urdf": False, **told, **_table_said(table, given), **given.told}), table
+    answers = answers or Answers()
+    return _written(name, out, {"urdf": False, **context, **_table_said(table, answers), **answers.context}), table
 
 
 def new_from_urdf(
@@ -50,34 +50,34 @@ def new_from_urdf(
     *,
     tip: str | None = None,
     base: str | None = None,
-    given: Given | None = None,
+    answers: Answers | None = None,
 ) -> tuple[Path, UrdfChain]:
     """Write the folder `out`/`name` for a URDF, with a copy of it.
 
-    `given` is what is known of dial and maker. Returns the folder and the chain of joints. Raises CasacalError when it
-    cannot be read or the folder exists.
+    answers: what the user knows of dial and maker. Returns the folder and the chain of joints. Raises CasacalError when
+    the URDF cannot be read or the folder exists.
     """
     arm = UrdfChain.read(path, base, tip, None)
     base, tip = arm.chain[0].parent, arm.chain[-1].child
-    given = given or Given()
+    answers = answers or Answers()
     read = [f"Path(__file__).with_name({quoted(arm.file)})", f"base={quoted(base)}", f"tip={quoted(tip)}"]
-    told = {
+    context = {
         "origin": f"The arm from link '{word(base)}' to link '{word(tip)}' of {arm.file}",
         "count": 6 * len(arm.moving),
         "keys": "x, y, z, rx, ry, rz",
         "arm": word(arm.name),
         "source": word(arm.file),
-        "names": imported(["Problem", "Robot", *given.names]),
+        "names": imported(["Problem", "Robot", *answers.names]),
         "limits": "",
         "robot": "Robot.from_urdf" + listed("(", read, ")", 0, taken=len("robot = Robot.from_urdf")),
     }
-    return _written(name, out, {"urdf": True, **told, **given.told}, {arm.file: Path(path).read_bytes()}), arm
+    return _written(name, out, {"urdf": True, **context, **answers.context}, {arm.file: Path(path).read_bytes()}), arm
 
 
-def _table_said(table: DHTable, given: Given) -> dict[str, str]:
+def _table_said(table: DHTable, answers: Answers) -> dict[str, str]:
     """Context of templates/problem.py.txt for a DH table: imports, joint limits, robot."""
     turning = all(joint.turns for joint in table.joints)
-    names = ["Joint", "Problem", "Robot", "deg", *given.names]
+    names = ["Joint", "Problem", "Robot", "deg", *answers.names]
     arguments = [quoted(table.name)]
     for key, values in (("alpha", table.alpha), ("a", table.a), ("d", table.d), ("theta", table.theta)):
         arguments.append(f"{key}=" + (angles(values) if key in ("alpha", "theta") else tuple_of(map(plain, values))))
@@ -108,7 +108,7 @@ def _table_said(table: DHTable, given: Given) -> dict[str, str]:
     }
 
 
-def _written(name: str, out: str | Path, told: Mapping[str, object], files: Mapping[str, bytes] = EMPTY) -> Path:
+def _written(name: str, out: str | Path, context: Mapping[str, object], files: Mapping[str, bytes] = EMPTY) -> Path:
     """Write a folder beside its place, see that it loads, and only then put it there."""
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", name):
         fix = "Use letters, digits, _ and -; --out says where it goes"
@@ -116,8 +116,8 @@ def _written(name: str, out: str | Path, told: Mapping[str, object], files: Mapp
     folder = Path(out) / name
     if folder.exists():
         raise CasacalError(f"'{folder}' exists already", "Choose another name, or move it away")
-    told = {"name": name, "folder": folder.as_posix(), **told}
-    made = {"problem.py": plain_text("problem.py.txt", told), "README.md": plain_text("readme.txt", told)}
+    context = {"name": name, "folder": folder.as_posix(), **context}
+    made = {"problem.py": plain_text("problem.py.txt", context), "README.md": plain_text("readme.txt", context)}
     with writable(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
         draft = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))

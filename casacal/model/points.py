@@ -49,7 +49,7 @@ class FixedPoint(ToolTip):
     words = Words("distance from the points", "mm", "touches", "points fitted alone", group="point")
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
-        """From the point to the tip (3, mm)."""
+        """Vector from the point to the tip (3, mm)."""
         return self.tip(pose, p, row) - p.point
 
     def propose(self, key: str, sight: Sight) -> Array:
@@ -88,20 +88,20 @@ class Sockets(ToolTip):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = self.along if isinstance(self.along, Mapping) else {}
-        along = {str(label): float(value) for label, value in given.items() if is_finite(value)}
+        places = self.along if isinstance(self.along, Mapping) else {}
+        along = {str(label): float(value) for label, value in places.items() if is_finite(value)}
         object.__setattr__(self, "along", FrozenMapping(along))
-        if len(set(along.values())) < max(len(given), 2):
-            what = f"The sockets stand at {dict(given) or self.along} along the bar"
+        if len(set(along.values())) < max(len(places), 2):
+            what = f"The sockets stand at {dict(places) or self.along} along the bar"
             raise ProblemError(what, 'Give two places or more, such as {"0": 0, "1": 50}')
 
     @property
     def known_columns(self) -> Mapping[str, Mapping[str, float]]:
-        """How far along the bar the row's socket stands, mm."""
+        """Position of the row's socket along the bar, mm."""
         return {"along": self.along}
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
-        """From the socket to the ball's centre (3, mm)."""
+        """Vector from the socket to the ball's centre (3, mm)."""
         return self.tip(pose, p, row) - (p.start + row.along * p.bar)
 
     def propose(self, key: str, sight: Sight) -> Array:
@@ -194,12 +194,12 @@ class KnownPoint(PointInFrame):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = self.points.items() if isinstance(self.points, Mapping) else [("", self.points)]
-        for label, point in given:
+        labelled = self.points.items() if isinstance(self.points, Mapping) else [("", self.points)]
+        for label, point in labelled:
             if not (isinstance(point, (tuple, list, np.ndarray)) and len(point) == 3 and all(map(is_finite, point))):
                 fix = "Give x, y and z of each point in mm, by its label"
                 raise ProblemError(f"Point '{label}' of the plate is {point!r}", fix)
-        triples = {str(label): tuple(float(value) for value in point) for label, point in given}
+        triples = {str(label): tuple(float(value) for value in point) for label, point in labelled}
         object.__setattr__(self, "points", FrozenMapping(triples))
         known = np.array(list(triples.values())).reshape(-1, 3)
         if len(known) < 3 or np.linalg.matrix_rank(known - known.mean(axis=0), tol=1e-6) < 2:
@@ -243,7 +243,7 @@ class SphereTouch(ToolTip):
     )
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
-        """How far the ball stands off the sphere, mm."""
+        """Gap between ball and sphere, mm."""
         return ca.norm_2(self.tip(pose, p, row) - p.centre) - p.radii
 
     def propose(self, key: str, sight: Sight) -> Array:
@@ -273,7 +273,7 @@ class SelfContact(ToolTip):
     words = Words("distance between the balls", "mm", "touches", "nothing fitted")
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
-        """How far the balls stand off each other, mm."""
+        """Gap between the balls, mm."""
         return ca.norm_2(self.tip(pose, p, row) - p.other) - p.apart
 
 

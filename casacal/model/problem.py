@@ -40,9 +40,9 @@ class Problem(Value):
     robot: Robot
     instruments: tuple[Instrument, ...]
     terms: tuple[Term, ...]
-    """What rows may show beside the geometry."""
+    """Non-geometric terms that rows may show."""
     names: tuple[str, ...]
-    """Of the instruments."""
+    """Names of the instruments."""
     shared: Shared
     """Keys of unknowns that some instruments have in common, and the names of these."""
 
@@ -115,7 +115,7 @@ class Problem(Value):
 
     @property
     def words(self) -> Words:
-        """How reports call what the only instrument measures, or what several have in common."""
+        """Words for reports: those of the only instrument, or what several have in common."""
         each = [instrument.words for instrument in self.instruments]
         if len(each) == 1:
             return each[0]
@@ -134,7 +134,7 @@ class Problem(Value):
         return self.names.index(name)
 
     def prefix(self, instrument: int) -> str:
-        """How the names of an instrument's own unknowns begin: with nothing when there is only one."""
+        """Prefix of an instrument's own unknowns; empty when there is only one instrument."""
         return "" if len(self.instruments) == 1 else f"{self.names[instrument]}."
 
     @cached_property

@@ -11,7 +11,7 @@ from typing import Any
 
 from casacal.errors import CasacalError, ProblemError, came, said
 from casacal.model.problem import Problem
-from casacal.user_code import BESIDE, line_of, run_file
+from casacal.user_code import IMPORTED, line_of, run_file
 from casacal.values import Value
 
 LARGEST_KEPT = 2_000_000  # bytes beyond which the text of a file is not kept with its hash
@@ -112,12 +112,12 @@ def load_problem(path: str | Path) -> ProblemFile:
         raise ProblemError(f"{file} defines `cell` as a {type(cell).__name__}", "Make it a Cell(...)")
     name = file.parent.name if file.name == "problem.py" and file.parent.name else file.stem
     name = "".join(letter if letter.isprintable() else "_" for letter in name)  # it stands in exports
-    files = (source, *_files_of(problem, values.get(BESIDE, ())))
+    files = (source, *_files_of(problem, values.get(IMPORTED, ())))
     return ProblemFile(name, file.as_posix(), source.sha256, problem, cell, files)
 
 
-def _files_of(problem: Problem, beside: Iterable[str]) -> tuple[SourceFile, ...]:
+def _files_of(problem: Problem, modules: Iterable[str]) -> tuple[SourceFile, ...]:
     """Modules beside a problem file, and what its arm was read from, as they are now."""
     read = getattr(problem.robot.arm, "path", "")
-    paths = dict.fromkeys(path for path in (*beside, read) if path.endswith(".py") or path == read)
+    paths = dict.fromkeys(path for path in (*modules, read) if path.endswith(".py") or path == read)
     return tuple(SourceFile.read(path) for path in paths if path and Path(path).is_file())

@@ -14,11 +14,11 @@ from casacal.model.instrument import Travel, readings_within
 from casacal.model.joints import Conventions, Joint
 
 FINEST = 0.01  # mm; an accuracy below it was given in metres
-FILL_IN = "TO FILL IN"  # what marks a line that nobody has looked at yet
+FILL_IN = "TO FILL IN"  # mark of a line that nobody has checked yet
 
 
 @dataclass(frozen=True, kw_only=True)
-class Given:
+class Answers:
     """A user's answers about a new cell; None for what was not said.
 
     tool: the tip at reading zero in the flange frame, mm. sign: +1 where a larger reading lengthens the tool, -1 where
@@ -50,7 +50,7 @@ class Given:
         return ["DialOnPlane", "dial_gain", "tool_point", *scaled]
 
     @property
-    def told(self) -> dict[str, object]:
+    def context(self) -> dict[str, object]:
         """Context of templates/problem.py.txt for tool, dial and maker."""
         travel = 10.0 if self.travel is None else self.travel
         return {

@@ -249,7 +249,7 @@ class Robot(Value):
 
         """
         kinds = joints_of(len(axes) if joints is None else joints)
-        rows: Any = [tuple(tuple(map(float, np.ravel(row))) for row in given) for given in (axes, points, home)]
+        rows: Any = [tuple(tuple(map(float, np.ravel(row))) for row in column) for column in (axes, points, home)]
         arm = Screws(name=name, axes=rows[0], points=rows[1], home=rows[2], joints=kinds, conventions=conventions)
         return Robot(name, kinds, arm.pose, arm.parameters(length_std, angle_std), arm)
 

@@ -66,8 +66,8 @@ class Symbols(Trace):
                 raise ProblemError(f"'{name}' cannot name an input of a CasADi function", fix)
         robot = {key: free[key] for key in self.robot.parameters}
         row = {"q": self.q, **self.columns}
-        beside = {k: symbol for k, symbol in {**free, **row}.items() if k not in robot and k != "q"}
-        touching = {k: symbol for k, symbol in beside.items() if ca.depends_on(built.tip, symbol)}
+        rest = {k: symbol for k, symbol in {**free, **row}.items() if k not in robot and k != "q"}
+        touching = {k: symbol for k, symbol in rest.items() if ca.depends_on(built.tip, symbol)}
         others = {k: symbol for k, symbol in free.items() if k not in robot}
         last = {k: touching.pop(k) for k in list(touching) if k in row}
         inputs = {
@@ -87,23 +87,23 @@ class Symbols(Trace):
         if not re.fullmatch(r"[A-Za-z]([A-Za-z0-9]|_(?!_))*", prefix):
             what = f"'{prefix}' cannot begin the name of a C function"
             raise ProblemError(what, "Give a prefix of letters, digits and single _")
-        generator, wrappers, told = ca.CodeGenerator(f"{prefix}_code", {"with_header": False}), "", ""
+        generator, wrappers, signatures = ca.CodeGenerator(f"{prefix}_code", {"with_header": False}), "", ""
         for name, inputs, outputs, words in _parts(self):
             made = {key: ca.densify(ca.vec(matrix)) for key, matrix in outputs.items()}
             raw = f"{prefix}_{name}_raw"
             function = row_function(raw, [*inputs.values()], [*made.values()])
             generator.add(function)
-            given = [f"const double {key}[{max(symbol.numel(), 1)}]" for key, symbol in inputs.items()]
-            given += [f"double {key}[{matrix.numel()}]" for key, matrix in made.items()]
-            signature = f"void {prefix}_{name}({', '.join(given)})"
+            arguments = [f"const double {key}[{max(symbol.numel(), 1)}]" for key, symbol in inputs.items()]
+            arguments += [f"double {key}[{matrix.numel()}]" for key, matrix in made.items()]
+            signature = f"void {prefix}_{name}({', '.join(arguments)})"
             wrappers += (
                 f"\n{signature} {{\n"
                 f"  const double* arg[{max(function.sz_arg(), 1)}] = {{{', '.join(inputs)}}};\n"
                 f"  double* res[{max(function.sz_res(), 1)}] = {{{', '.join(outputs)}}};\n"
                 f"  {raw}(arg, res, 0, 0, 0);\n}}\n"
             )
-            told += f" * {signature};\n *     {words}\n"
-        return _head(self, told) + str(generator.dump()) + wrappers
+            signatures += f" * {signature};\n *     {words}\n"
+        return _head(self, signatures) + str(generator.dump()) + wrappers
 
     def __eq__(self, other: object) -> bool:
         """Whether both are about the same arm and instrument, to the last operation of the residual."""
@@ -177,7 +177,7 @@ def _parts(traced: Trace) -> list[tuple[str, dict[str, ca.SX], dict[str, ca.SX],
     ]
 
 
-def _head(traced: Trace, told: str) -> str:
+def _head(traced: Trace, signatures: str) -> str:
     symbols, _ = traced.free
     values = _counted({key: symbol.numel() for key, symbol in symbols.items()})
     free = _counted({key: unknown.size for key, unknown in traced.unknowns.items() if unknown.size})
@@ -195,7 +195,7 @@ def _head(traced: Trace, told: str) -> str:
         "",
     ]
     lines = (line.replace("*/", "* /").replace("\n", " ") for line in about)  # which cannot end the comment
-    return "/*\n" + "".join(f" * {line}".rstrip() + "\n" for line in lines) + told + " */\n"
+    return "/*\n" + "".join(f" * {line}".rstrip() + "\n" for line in lines) + signatures + " */\n"
 
 
 def _counted(sizes: Mapping[str, int]) -> str:

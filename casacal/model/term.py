@@ -22,7 +22,7 @@ from casacal.values import Array, FrozenMapping
 
 @dataclass(frozen=True, eq=False)
 class FaceFrame:
-    """Where a face lies, as its touches say: centre (3, mm), two directions in it (2, 3), half widths (2, mm)."""
+    """Frame of a face from its touches: centre (3, mm), two directions in it (2, 3), half widths (2, mm)."""
 
     centre: Array
     axes: Array
@@ -38,16 +38,16 @@ class FaceFrame:
         return FaceFrame(centre, plane.across, np.maximum((high - low) / 2, 1.0))
 
     def places(self, tips: Array) -> Array:
-        """Where tips (N, 3; mm) lie on it (N, 2), -1 to 1 from edge to edge."""
+        """Coordinates (N, 2) of tips (N, 3; mm) on the face, -1 to 1 from edge to edge."""
         return np.asarray((tips - self.centre) @ (np.column_stack([*self.axes]) / self.half))
 
 
 @dataclass(frozen=True)
 class Survey:
-    """Where the fitted rows lie, and when they were measured."""
+    """Places of the fitted rows, and the order in which they were measured."""
 
     faces: Mapping[str, FaceFrame]
-    """By label; of those that were touched three times or more."""
+    """Frames of the faces touched three times or more, by label."""
     lines: tuple[int, ...]
     """Lines of the rows in order, or of some, evenly over all: when a row was is a matter of rows, not of lines."""
     samples: Samples
@@ -55,7 +55,7 @@ class Survey:
 
     @staticmethod
     def of(samples: Samples, tips: Array, label: str | None) -> Survey:
-        """Of samples with nominal tips (N, 3; mm), on faces that a column names."""
+        """Survey of samples with nominal tips (N, 3; mm), on faces that the column `label` names."""
         faces = {
             name: FaceFrame.of(tips[rows]) for name, rows in samples.faces(label).rows().items() if len(rows) >= FEWEST
         }
@@ -66,7 +66,7 @@ class Survey:
         )
 
     def places(self, samples: Samples, tips: Array, label: str | None) -> Array:
-        """Where on their faces rows lie (N, 2), -1 to 1; the middle of a face that was not fitted."""
+        """Coordinates (N, 2) of rows on their faces, -1 to 1; the middle of a face that was not fitted."""
         found = np.zeros((len(samples), 2))
         for name, rows in samples.faces(label).rows().items():
             if name in self.faces:
@@ -91,12 +91,12 @@ class SurveyedRows:
     tips: Array
     """Nominal tips (N, 3; mm)."""
     survey: Survey
-    """Of the rows that are fitted, these or others."""
+    """Survey of the rows that are fitted, these or others."""
 
 
 @dataclass(frozen=True)
 class Site:
-    """Where a term stands: at one robot with one instrument."""
+    """The robot and instrument for which a term is evaluated."""
 
     robot: Robot
     instrument: Instrument
@@ -148,7 +148,7 @@ class Term(Portable, ABC):
     @property
     @abstractmethod
     def words(self) -> str:
-        """How reports call it."""
+        """Name in reports."""
 
     @abstractmethod
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
@@ -160,19 +160,19 @@ class Term(Portable, ABC):
         return ()
 
     def values(self, site: Site, rows: SurveyedRows) -> Mapping[str, Array]:
-        """Those columns (N,) of some rows."""
+        """Values (N,) of `columns` for some rows."""
         return self.told(site, rows.samples)
 
     @property
     def further(self) -> tuple[str, ...]:
-        """Columns of a file that say the first of its `columns`, in their order; the others are then zero.
+        """Columns of a file that give the first of `columns`, in their order; the others are then zero.
 
-        Where rows have them, whoever predicts can take it in; none where nobody but the fitted rows can tell.
+        Rows that have them can be predicted with the term; none where only the fitted rows determine it.
         """
         return ()
 
     def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
-        """Its columns (N,) as any rows say that have those of `further`; ProblemError where they hold none."""
+        """Values (N,) of `columns`, from the columns `further` of any rows; ProblemError where those are invalid."""
         del site, samples
         return {}
 
@@ -181,7 +181,7 @@ class Term(Portable, ABC):
         return dict.fromkeys(self.columns(site), self.elsewhere)
 
     def joints(self, here: Here) -> Expression | None:
-        """By how much joints (n; rad, mm) stand off what the controller says."""
+        """Deviations of the joints (n; rad, mm) from what the controller shows."""
         del here
         return None
 

@@ -46,17 +46,17 @@ class Trace(Value):
 
     @cached_property
     def site(self) -> Site:
-        """Where its terms stand."""
+        """Robot and instrument, as terms take them."""
         return Site(self.robot, self.instrument)
 
     @cached_property
     def acting(self) -> tuple[Term, ...]:
-        """Those of the terms that mean something to this robot and instrument."""
+        """Terms that have unknowns for this robot and instrument."""
         return tuple(term for term in self.terms if term.unknowns(self.site))
 
     @cached_property
     def unknowns(self) -> Mapping[str, Unknown]:
-        """Of the robot, then of the instrument, then of the terms."""
+        """Unknowns by key: the robot's, then the instrument's, then those of the terms."""
         found: dict[str, Unknown] = {**self.robot.parameters, **self.instrument.unknowns}
         for term in self.acting:
             found |= term.unknowns(self.site)
@@ -90,8 +90,8 @@ class Trace(Value):
     @cached_property
     def constants(self) -> Mapping[str, int]:
         """Keys of the unknowns whose nominal is part of c, in order, and how many numbers each takes."""
-        seen = (key for key, value in self.nominals.items() if isinstance(value, ca.SX))
-        return FrozenMapping({key: self.unknowns[key].nominal_size for key in seen})
+        varying = (key for key, value in self.nominals.items() if isinstance(value, ca.SX))
+        return FrozenMapping({key: self.unknowns[key].nominal_size for key in varying})
 
     @cached_property
     def q(self) -> ca.SX:
@@ -101,8 +101,8 @@ class Trace(Value):
     @cached_property
     def columns(self) -> Mapping[str, ca.SX]:
         """The row's columns by name: those that are read, those known from labels, those that terms ask for."""
-        beside = (name for term in self.acting for name in term.columns(self.site))
-        names = dict.fromkeys((*self.instrument.columns, *self.instrument.known_columns, *beside))
+        of_terms = (name for term in self.acting for name in term.columns(self.site))
+        names = dict.fromkeys((*self.instrument.columns, *self.instrument.known_columns, *of_terms))
         return FrozenMapping({name: ca.SX.sym(name) for name in names})
 
     @property
@@ -257,9 +257,9 @@ class RowModel:
     constants: tuple[str, ...]
     """Keys of the unknowns whose nominal is part of c, in order."""
     terms: tuple[Term, ...]
-    """Those that mean something to this robot and instrument."""
+    """Terms that have unknowns for this robot and instrument."""
     linear: int
-    """How many of z, the last, are of terms."""
+    """Number of unknowns of terms, which are the last in z."""
     names: tuple[str, ...]
     """Columns of d beside the joint values, in order."""
     residual: ca.Function
@@ -269,7 +269,7 @@ class RowModel:
     noise: ca.Function
     """Standard deviation w (m) of e."""
     joint_noise: ca.Function
-    """The same (m) where every joint errs on its own, by a radian or what counts as one, and nothing else."""
+    """Standard deviation (m) of e where joints alone err, independently, by 1 rad or its equivalent in mm."""
     tip: ca.Function
     """Tip (3), mm."""
     tip_jacobian: ca.Function
@@ -337,9 +337,9 @@ class RowModel:
 
 def compile_rows(traced: Trace) -> RowModel:
     """Compile a trace; raises ProblemError where it depends on anything but joints, columns and unknowns."""
-    seen, z, e = traced.seen, traced.z, traced.residual
-    inputs, (v, raw_residual), origin = [z, traced.c, traced.d], traced.raw, ca.SX(position(seen.pose))
-    slope, origin_slope = ca.jacobian(seen.tip, z), ca.jacobian(origin, z)  # J of eqs (3)-(5) of arXiv:2208.02652
+    built, z, e = traced.seen, traced.z, traced.residual
+    inputs, (v, raw_residual), origin = [z, traced.c, traced.d], traced.raw, ca.SX(position(built.pose))
+    slope, origin_slope = ca.jacobian(built.tip, z), ca.jacobian(origin, z)  # J of eqs (3)-(5) of arXiv:2208.02652
     declared = {**traced.robot.parameters, **traced.instrument.unknowns}
     by_joint = ca.jacobian(e, traced.q) @ ca.diag(ca.DM(per_radian(traced.robot)))
 
@@ -355,11 +355,11 @@ def compile_rows(traced: Trace) -> RowModel:
         jacobian=made("jacobian", e, traced.jacobian.T),
         noise=made("noise", traced.noise),
         joint_noise=made("joint_noise", ca.sqrt(ca.sum2(by_joint**2))),
-        tip=made("tip", seen.tip),
-        tip_jacobian=made("tip_jacobian", seen.tip, slope.T),
+        tip=made("tip", built.tip),
+        tip_jacobian=made("tip_jacobian", built.tip, slope.T),
         flange_jacobian=made("flange_jacobian", origin, origin_slope.T),
         pose=made("pose", traced.pose),
-        plunger=None if seen.plunger is None else made("plunger", seen.plunger),
+        plunger=None if built.plunger is None else made("plunger", built.plunger),
         raw_residual=row_function("raw_residual", [v, *inputs[1:]], [raw_residual]),
     )
 

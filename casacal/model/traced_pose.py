@@ -129,7 +129,7 @@ class TracedPose(Value):
 
     @property
     def joints(self) -> int:
-        """How many joint values q has."""
+        """Number of joint values in q."""
         return int(self.graph.size1_in(self.graph.n_in() - 1))
 
     @cached_property
@@ -235,9 +235,9 @@ def traced_function(
         if key not in known:
             raise ProblemError(f"Parameter '{key}' of a function is {came(other)}", "Give numbers: Parameter(...)")
     sizes = [function.numel_in(i) for i in range(first + 1, function.n_in())]
-    given = sum(each.nominal_size for each in known.values())
-    if given != sum(sizes):
-        what = f"{_said(function)} takes {sum(sizes)} numbers besides q, and the parameters are {given}"
+    numbers = sum(each.nominal_size for each in known.values())
+    if numbers != sum(sizes):
+        what = f"{_said(function)} takes {sum(sizes)} numbers besides q, and the parameters are {numbers}"
         raise ProblemError(what, "Give one for each, in the order of its inputs")
     turns = np.array([joint.turns for joint in joints])
     scale, turning = ca.DM(np.where(turns, 1.0, per_mm)), np.flatnonzero(turns).tolist()

@@ -88,12 +88,12 @@ class TrackedPose(Instrument):
             if not isinstance(std, str) and (not is_real(std) or not 0 < std < math.inf):
                 raise ProblemError(f"{name} of TrackedPose is {std!r}", "Give a positive number, or name a column")
         if self.orientation not in ("quaternion", "rotation vector"):
-            told = self.orientation if isinstance(self.orientation, str) else ""
-            axes = told.lower()
-            turns = len(told) == 3 and not set(axes) - set("xyz") and told in (axes, axes.upper())
+            order = self.orientation if isinstance(self.orientation, str) else ""
+            axes = order.lower()
+            turns = len(order) == 3 and not set(axes) - set("xyz") and order in (axes, axes.upper())
             if not turns or any(one == two for one, two in pairwise(axes)):
                 what = f"Got {came(self.orientation)} as an orientation"
-                what = f"An orientation is written as '{told}'" if told else what
+                what = f"An orientation is written as '{order}'" if order else what
                 fix = "Give 'quaternion', 'rotation vector', or three axes such as 'ZYX' (A, B, C of KUKA) or 'xyz'"
                 raise ProblemError(what, fix)
         named = [std for std in (self.position_std, self.angle_std) if isinstance(std, str)]
@@ -170,41 +170,41 @@ class TrackedPose(Instrument):
 
     def turn(self, row: Any) -> Expression:
         """Rotation matrix (3x3) of a row."""
-        told = [getattr(row, name) for name in self.turn_columns]
+        entries = [getattr(row, name) for name in self.turn_columns]
         if self.orientation == "quaternion":
-            quaternion = ca.vertcat(*told)
+            quaternion = ca.vertcat(*entries)
             return rotation_of_quaternion(quaternion / ca.norm_2(quaternion))
         if self.orientation == "rotation vector":
-            vector = ca.vertcat(*told)
+            vector = ca.vertcat(*entries)
             angle = ca.sqrt(ca.sumsqr(vector) + SMALL)
             return rotation_of_quaternion(ca.vertcat(ca.cos(angle / 2), ca.sin(angle / 2) * vector / angle))
-        turns = [ABOUT[axis](angle) for axis, angle in zip(self.orientation.lower(), told, strict=True)]
+        turns = [ABOUT[axis](angle) for axis, angle in zip(self.orientation.lower(), entries, strict=True)]
         return rotation(chain(*(turns if self.orientation.isupper() else reversed(turns))))
 
     def quaternions(self, columns: Mapping[str, Array]) -> Array:
         """Quaternions (N, 4; w, x, y, z) of all rows; raises ProblemError where a device has lost the body."""
         from scipy.spatial.transform import Rotation
 
-        told = np.column_stack([columns[name] for name in self.turn_columns])
+        read = np.column_stack([columns[name] for name in self.turn_columns])
         if self.orientation == "quaternion":
-            if lost := int((np.abs(told).max(axis=1) < NO_TURN).sum()):
+            if lost := int((np.abs(read).max(axis=1) < NO_TURN).sum()):
                 what = f"{'1 row holds' if lost == 1 else f'{lost} rows hold'} a quaternion of zeros, as devices write"
                 raise ProblemError(f"{what} that have lost the body", "Remove those rows")
-            return told
+            return read
         vector = self.orientation == "rotation vector"
-        found = Rotation.from_rotvec(told) if vector else Rotation.from_euler(self.orientation, told)
+        found = Rotation.from_rotvec(read) if vector else Rotation.from_euler(self.orientation, read)
         return np.asarray(np.roll(found.as_quat(), 1, axis=1))
 
     def tip(self, pose: Expression, p: Any, row: Any) -> Expression:
-        """Where the body is (3, mm)."""
+        """Position of the body (3, mm)."""
         del row
         return position(chain(pose, p.body))
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Position predicted minus read (3, mm), and orientation (3, rad)."""
-        seen = chain(p.station, pose, p.body)
-        place = position(seen) - ca.vertcat(row.x, row.y, row.z)
-        return ca.vertcat(place, chord(ca.mtimes(self.turn(row).T, rotation(seen))))
+        predicted = chain(p.station, pose, p.body)
+        place = position(predicted) - ca.vertcat(row.x, row.y, row.z)
+        return ca.vertcat(place, chord(ca.mtimes(self.turn(row).T, rotation(predicted))))
 
     def propose(self, key: str, sight: Sight) -> Array:
         """Body and station of T X = Z B (Shah 2013), whichever is asked for."""

@@ -22,7 +22,7 @@ PRIOR_STD = {"mm": 0.7, "rad": 1e-3}
 LARGEST_STD = 1e12  # a standard deviation beyond which, or below whose inverse, arithmetic ends before knowledge does
 
 START_STD = {"mm": 10.0, "rad": 0.01}
-"""Where a filter or a population starts an unknown with a flat prior (10 mm, 10 mrad); never part of the cost."""
+"""Start of a filter's or a population's spread where the prior is flat (10 mm, 10 mrad); never part of the cost."""
 
 
 class Unknown(ABC):
@@ -63,7 +63,7 @@ class Unknown(ABC):
     @property
     @abstractmethod
     def nominal_size(self) -> int:
-        """How many numbers fix a nominal value."""
+        """Number of components of a nominal value."""
 
     @property
     def raw_size(self) -> int:
@@ -262,13 +262,13 @@ class Parameter(Unknown):
 
     @cached_property
     def _prior(self) -> Array:
-        given = self.prior_std
-        if given is None and self.values is not None and self.unit not in PRIOR_STD:
+        std = self.prior_std
+        if std is None and self.values is not None and self.unit not in PRIOR_STD:
             what = f"A parameter in '{self.unit}' has no prior_std"
             raise ProblemError(what, "Give one, or math.inf for a flat prior")
-        if given is None:
-            given = math.inf if self.values is None else PRIOR_STD[self.unit]
-        return spread(given, self._all.size, "prior_std of a parameter")
+        if std is None:
+            std = math.inf if self.values is None else PRIOR_STD[self.unit]
+        return spread(std, self._all.size, "prior_std of a parameter")
 
     @property
     def size(self) -> int:
@@ -288,8 +288,8 @@ class Parameter(Unknown):
     @cached_property
     def start_stds(self) -> Array:
         """Prior, or start where flat, of the free components."""
-        given = self.start_std
-        start = None if given is None else spread(given, self._all.size, "start_std")[self._free]
+        stated = self.start_std
+        start = None if stated is None else spread(stated, self._all.size, "start_std")[self._free]
         return np.asarray(read_only(start_stds(self.prior_stds, start, self.units, "a parameter")))
 
     @property
@@ -315,7 +315,7 @@ class Parameter(Unknown):
 
     def at(self, nominal: Expression, local: Expression) -> Expression:
         """Nominal plus deviation: a scalar, or a vector of all components."""
-        places = np.cumsum(self._free) - 1  # of each free component in `local`
+        places = np.cumsum(self._free) - 1  # index of each free component in `local`
         entries = [nominal[i] + local[int(places[i])] if free else nominal[i] for i, free in enumerate(self._free)]
         return entries[0] if self._all.ndim == 0 else ca.vertcat(*entries)
 

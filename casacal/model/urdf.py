@@ -74,7 +74,7 @@ def _said(values: tuple[float, ...]) -> str:
 
 
 def numbers_in(text: str, count: int) -> list[float]:
-    """So many finite numbers between blanks; none where the text is anything else."""
+    """`count` finite numbers between blanks; none where the text is anything else."""
     try:
         values = [float(part) for part in text.split()]
     except ValueError:
@@ -135,7 +135,7 @@ class UrdfFile:
     name: str = ""
     links: list[str] = field(default_factory=list)
     joints: list[UrdfJoint] = field(default_factory=list)
-    seen: set[tuple[int, str]] = field(default_factory=set)  # parts of joints, by how many joints there are
+    parts: set[tuple[int, str]] = field(default_factory=set)  # parts of joints, by how many joints there are
 
     def __post_init__(self) -> None:
         self.parser = expat.ParserCreate()
@@ -231,9 +231,9 @@ class UrdfFile:
                 if meant or tag in PLACING:
                     fix = f"Write {meant[0]}=" if meant else f"It may have {', '.join(ATTRIBUTES[tag])}"
                     self._refuse(f"gives {whose} the attribute {name}=", fix)
-        if (len(self.joints), tag) in self.seen:
+        if (len(self.joints), tag) in self.parts:
             self._refuse(f"gives joint '{joint}' a second <{tag}>", "Leave one of them")
-        self.seen.add((len(self.joints), tag))
+        self.parts.add((len(self.joints), tag))
         if tag == "mimic":
             return {"mimics": attributes.get("joint", "?")}
         if tag in ("parent", "child"):
@@ -241,8 +241,8 @@ class UrdfFile:
         if tag == "limit":
             limits = (self._numbers(attributes.get(key, "0"), whose, 1)[0] for key in ("lower", "upper"))
             return {"limits": tuple(limits)}
-        given = [key for key in ("xyz", "rpy") if key in attributes and key in ATTRIBUTES[tag]]
-        triples = {key: tuple(self._numbers(attributes[key], f"{key} of {whose}", 3)) for key in given}
+        keys = [key for key in ("xyz", "rpy") if key in attributes and key in ATTRIBUTES[tag]]
+        triples = {key: tuple(self._numbers(attributes[key], f"{key} of {whose}", 3)) for key in keys}
         return {"axis" if tag == "axis" else key: triple for key, triple in triples.items()}
 
     def _numbers(self, text: str, whose: str, count: int) -> list[float]:

@@ -32,25 +32,25 @@ Criterion: TypeAlias = Literal["tip", "parameters"]
 
 
 def gains(rows: Array, covariance: Array, weight: Array, criterion: Criterion = "tip") -> Array:
-    """By how much each measurement (N, m, n) lowers trace(C M), or the logarithm of the determinant of C: (N,)."""
+    """Fall (N,) of trace(C M), or of ln det C, by each measurement (N, m, n)."""
     size, unknowns = rows.shape[1:]
     flat = rows.reshape(-1, unknowns)
-    seen = flat @ covariance
-    moved = seen @ weight  # in one product: a stack of small ones takes many times as long
+    cross = flat @ covariance
+    moved = cross @ weight  # in one product: a stack of small ones takes many times as long
     if size == 1:
-        spread = 1 + np.einsum("kn,kn->k", seen, flat)
-        return np.asarray(np.log(spread) if criterion == "parameters" else (moved * seen).sum(axis=1) / spread)
-    seen, moved = seen.reshape(rows.shape), moved.reshape(rows.shape)
-    spread = np.einsum("kin,kjn->kij", seen, rows) + np.eye(size)
+        spread = 1 + np.einsum("kn,kn->k", cross, flat)
+        return np.asarray(np.log(spread) if criterion == "parameters" else (moved * cross).sum(axis=1) / spread)
+    cross, moved = cross.reshape(rows.shape), moved.reshape(rows.shape)
+    spread = np.einsum("kin,kjn->kij", cross, rows) + np.eye(size)
     if criterion == "parameters":
         return np.asarray(np.linalg.slogdet(spread)[1])
-    told = np.einsum("kin,kjn->kij", moved, seen)
-    return np.asarray(np.trace(np.linalg.solve(spread, told), axis1=1, axis2=2))
+    saved = np.einsum("kin,kjn->kij", moved, cross)
+    return np.asarray(np.trace(np.linalg.solve(spread, saved), axis1=1, axis2=2))
 
 
 UNKNOWN = 1e-9  # information, in units of what filters start from, of what nobody knows beforehand
 ROUNDING = 1e-12
-"""The same as part of all that there is, where rows have told much of some unknowns and nothing of others."""
+"""As `UNKNOWN`, but as part of the largest information, where rows know some unknowns well and others not at all."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Choice:
         loose: Mapping[str, float] | None = None,
         at: Array | None = None,
     ) -> Choice:
-        """Of a pool, for a tip that is wanted at some joint values (M, q).
+        """Choice among a pool of touches, for a tip that is wanted at some joint values (M, q).
 
         count: how many of the rows can be chosen; the others have been made. loose: what may have moved since, by the
         name of the unknown: its standard deviation. at: the arm (n,), by default as drawn.
@@ -151,7 +151,7 @@ class Choice:
         criterion: Criterion = "tip",
         barred: Rows | None = None,
     ) -> Index:
-        """So many measurements, the best of some exchanges; none of those that are barred (N,)."""
+        """`count` measurements, the best of some exchanges; none of those that are barred (N,)."""
         there = np.arange(len(self.rows)) if barred is None else np.flatnonzero(~barred)
         begins = [rng.choice(there, count, replace=False) for _ in range(starts)]
         found = (self.exchange(start, criterion=criterion, barred=barred) for start in begins)

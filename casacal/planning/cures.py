@@ -1,4 +1,4 @@
-"""What to do next, best first: extra touches, planned, put on top of the samples there are, and judged at the tip.
+"""Cures for an uncertain calibration, best first: planned extra touches, added to the samples and judged at the tip.
 
 Every figure is worked out at the estimate, as the tip error to expect is: the arm as calibrated can touch its faces as
 they were found in many postures, those that leave the least error are chosen of them by exchange, as `plan` does, and
@@ -16,8 +16,8 @@ import numpy as np
 from casacal.data.samples import Samples
 from casacal.effects.selection import MANY
 from casacal.errors import CasacalError
+from casacal.fit.arm_alone import ArmProblem, arm_alone
 from casacal.fit.bound_problem import OTHERS, BoundProblem, by_face, times
-from casacal.fit.seen import Seen, seen
 from casacal.fit.slots import Slot, make_slots
 from casacal.linalg import posterior_covariance
 from casacal.model.problem import Problem
@@ -32,10 +32,10 @@ from casacal.values import Array
 from casacal.wording import listed
 
 GAIN = 0.95  # expected tip error over that without a cure, above which it is not worth recommending
-SAME = 0.99  # the same over more touches of the same kind, above which a larger tilt is none
+SAME = 0.99  # tip error over that of more touches of the same kind, above which a larger tilt is no cure
 TOOL_STD = 0.2  # standard deviation (mm) of a tool's point that is measured with a caliper or a height gauge
 SETTLES = 0.5  # part of a direction's standard deviation below which a cure settles it
-LOWERS = 0.95  # the same below which a cure helps at all
+LOWERS = 0.95  # standard deviation over that without a cure, below which the cure helps at all
 MOST_TILT = math.radians(85.0)  # tilt of a plunger that hardly touches a face: such an arm is not understood
 NO_CURE = "none of those tried helps; rely on the prior"
 POOL = 240  # samples that are drawn, to choose among
@@ -45,7 +45,7 @@ FEWEST = 120  # samples without which there is nothing to choose among
 
 @dataclass(frozen=True, eq=False)
 class Cure:
-    """Something to do next, and the tip error to expect after it.
+    """A recommended next step, and the tip error to expect after it.
 
     expected_rms_mm: over the workspace, apart from the position of the base. recommended: whether it gains more than a
     few per cent, over as many touches of the same kind too. covariance: of the unknowns that the samples share (s, s),
@@ -85,20 +85,20 @@ def cures(bound: BoundProblem, x: Array, *, stays: float = 0.0) -> tuple[Cure, .
     """
     if not (x.size and np.isfinite(x).all()):
         return ()
-    arm, at = seen(bound, x)
-    told, field = arm.information(at), _field(arm, at)
+    arm, at = arm_alone(bound, x)
+    data, field = arm.information(at), _field(arm, at)
 
     def judged(information: Array, prior: Array) -> tuple[float, Array]:
-        covariance = posterior_covariance(information, prior)[: at.size, : at.size]  # what comes last moves no tip
+        covariance = posterior_covariance(information, prior)[: at.size, : at.size]  # the last unknowns move no tip
         return math.sqrt(float((tip_stds(covariance, field) ** 2).sum(axis=1).mean()) + stays), covariance
 
     found: dict[str, tuple[float, Array, CureOutcome]] = {}
     for outcome in outcomes(bound, x):
         if np.isfinite(outcome.information).all():
             error, covariance = judged(outcome.information, outcome.prior)
-            if outcome.kind not in found or error < found[outcome.kind][0]:  # of the same at several places, the best
+            if outcome.kind not in found or error < found[outcome.kind][0]:  # the best of one kind at several places
                 found[outcome.kind] = error, covariance, outcome
-    now, _ = judged(told, arm.prior_information)
+    now, _ = judged(data, arm.prior_information)
     same = min(now, found["same"][0]) if "same" in found else now
     made = []
     for kind, (error, covariance, outcome) in found.items():
@@ -109,7 +109,7 @@ def cures(bound: BoundProblem, x: Array, *, stays: float = 0.0) -> tuple[Cure, .
     return tuple(sorted(made, key=lambda cure: cure.expected_rms_mm))
 
 
-def cure_for(bound: Seen, now: Array, found: Sequence[Cure], direction: NullDirection | WeakDirection) -> str:
+def cure_for(bound: ArmProblem, now: Array, found: Sequence[Cure], direction: NullDirection | WeakDirection) -> str:
     """Cure for an uncertain direction, in words: the best that settles it, else the one that helps most.
 
     bound: the problem whose direction it is. now: covariance of its unknowns (s, s). found: from `cures`, best first.
@@ -132,8 +132,8 @@ def cure_for(bound: Seen, now: Array, found: Sequence[Cure], direction: NullDire
 
 def outcomes(bound: BoundProblem, x: Array) -> Iterator[CureOutcome]:
     """Expected accuracy after each cure at x (n,); the first unknowns are those that the samples share."""
-    arm, at = seen(bound, x)
-    told = arm.information(at)
+    arm, at = arm_alone(bound, x)
+    data = arm.information(at)
     few = bound.unknowns <= MANY  # to choose among touches takes the cube of their number for each
     try:
         touched = CalibratedCell.of(bound, x) if few else None
@@ -141,18 +141,18 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[CureOutcome]:
         touched = None
     if touched is not None and touched.tilt >= MOST_TILT:  # no such arm is understood
         touched = None
-    stds = np.sqrt(np.diagonal(posterior_covariance(told, arm.prior_information)))
+    stds = np.sqrt(np.diagonal(posterior_covariance(data, arm.prior_information)))
     tool = [j for j in tool_unknowns(arm, at) if arm.units[j] == "mm" and stds[j] > TOOL_STD]
     if tool:  # the samples know its point less well than other means
         prior = arm.prior_information.copy()
         prior[tool, tool] = np.maximum(prior[tool, tool], 1 / TOOL_STD**2)
         words = f"measure {listed([arm.names[j] for j in tool])} to {TOOL_STD:g} mm by other means"
-        yield CureOutcome("tool", words, 0, told, prior)
+        yield CureOutcome("tool", words, 0, data, prior)
     if len(bound.samples) > 1:
         for i, name in enumerate(bound.problem.names):  # as much as its rows tell of the shared unknowns now
-            without, there = seen(bound.take(np.flatnonzero(bound.measured.instruments != i)), x)
+            without, there = arm_alone(bound.take(np.flatnonzero(bound.measured.instruments != i)), x)
             more = EXTRA_TOUCHES / max(len(bound.samples[i]), 1)
-            information = told + more * (told - without.information(there))
+            information = data + more * (data - without.information(there))
             words = f"{EXTRA_TOUCHES} more samples of the {name}"
             yield CureOutcome(f"same as {name}", words, EXTRA_TOUCHES, information, without.prior_information)
         return
@@ -161,7 +161,7 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[CureOutcome]:
         ways = (("same", "more samples of the same kind", 1), ("noise", "samples at half the noise", 4))
         for kind, how, weight in ways:
             more = weight * EXTRA_TOUCHES / len(bound.samples[0])
-            yield CureOutcome(kind, f"{EXTRA_TOUCHES} {how}", EXTRA_TOUCHES, (1 + more) * told, arm.prior_information)
+            yield CureOutcome(kind, f"{EXTRA_TOUCHES} {how}", EXTRA_TOUCHES, (1 + more) * data, arm.prior_information)
         return
     field = _field(arm, at)
     pools: dict[Cell | None, Samples | None] = {None: samples}
@@ -172,7 +172,7 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[CureOutcome]:
         if pool is None:
             continue
         try:
-            extra, stand, before = _with_rows(bound, x, told, offer, pool)
+            extra, stand, before = _with_rows(bound, x, data, offer, pool)
             best = Choice.on_top(extra, stand, before, field).best_of(offer.touches, 1, np.random.default_rng(0))
             after = before + extra.take(best).information(stand)
             kept = pool.take(best)
@@ -184,12 +184,12 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[CureOutcome]:
 
 
 def _with_rows(
-    bound: BoundProblem, x: Array, told: Array, offer: Offer, rows: Samples
+    bound: BoundProblem, x: Array, data: Array, offer: Offer, rows: Samples
 ) -> tuple[BoundProblem, Array, Array]:
     """Extra rows (N) of an offer, bound; where they stand (m,); information (m, m) that there is without them.
 
-    x, told: the estimate (n,) and what the samples tell there (n, n). The rows' noise is what was found, times a
-    factor. What they alone see, such as a new face, comes last.
+    x, data: the estimate (n,) and the information of the samples there (n, n). The rows' noise is the noise found times
+    a factor. Unknowns that they alone see, such as a new face, come last.
     """
     problem, old = offer.problem, dict[str, Slot]()
     faces, instrument = () if offer.cell is None else offer.cell.faces, problem.instrument
@@ -218,11 +218,11 @@ def _with_rows(
     others = math.sqrt(float(np.mean(np.square(found)))) if found else 1.0
     scale = times({OTHERS: others, **bound.scale}, offer.noise)
     information = np.zeros((stand.size, stand.size))
-    information[: x.size, : x.size] = told
+    information[: x.size, : x.size] = data
     return BoundProblem(problem, tuple(slots), (rows,), "blocks", scale=scale), stand, information
 
 
-def _field(arm: Seen, at: Array) -> Array:
+def _field(arm: ArmProblem, at: Array) -> Array:
     """Slopes of the tip over the workspace, apart from the position of the base (3M, s)."""
     joints = workspace_joints(arm.problem.robot)
     return without_rigid(arm.tip_jacobian(at, joints), arm.tips(at, joints))

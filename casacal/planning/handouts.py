@@ -63,7 +63,7 @@ def approaches(
     retreat: float = RETREAT,
     clearance: Clearance | None = None,
 ) -> Approaches:
-    """Where to stand before and after each touch of a plan, the plunger drawn back along itself.
+    """Postures before and after each touch of a plan, the plunger drawn back along itself.
 
     Where the straight way of the joints from one to the next would come near a face, both stand back further, up to
     eight times as far; then it leads through a place high above another touch. What is not clear then is said.
@@ -199,7 +199,7 @@ PROGRAMS: Mapping[str, RobotProgram] = FrozenMapping(
         ),
     }
 )
-"""By the name that people ask for."""
+"""Languages by name."""
 
 
 def program_text(problem: Problem, route: Route, ways: Approaches, language: str, name: str) -> str:

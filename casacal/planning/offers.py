@@ -1,4 +1,4 @@
-"""How a calibrated arm could go on: its faces as found, and what could be put beside them; touches that reach them."""
+"""Further measurements open to a calibrated arm: its faces as found, faces to put beside them, and touches of both."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class CalibratedCell:
 
     @staticmethod
     def of(bound: BoundProblem, x: Array) -> CalibratedCell | None:
-        """At x (n,); None for instruments that touch no faces, such as a tracker."""
+        """The cell at x (n,); None for instruments that touch no faces, such as a tracker."""
         if len(bound.problem.instruments) != 1:
             return None
         more = bound.problem.instrument.with_faces_by_label()
@@ -171,7 +171,7 @@ def fresh(label: str, faces: Sequence[Face]) -> str:
 
 
 EXTRA_TOUCHES = 24  # touches that are added: a quarter of an hour of work
-PLENTY = 60  # the same for who has an hour
+PLENTY = 60  # extra touches for who has an hour
 TILT = math.radians(30.0)  # largest tilt of the tool that is offered
 NEARLY = math.radians(25.0)  # tilt from which more is none
 MARGIN = math.radians(0.1)  # by which a tool may lean more than it has: as much as arms err
@@ -181,7 +181,7 @@ ALIKE = math.cos(math.radians(5.0))  # cosine between normals of faces that are 
 
 @dataclass(frozen=True)
 class Offer:
-    """One way to go on; of several of the same kind, the best is meant.
+    """One kind of further measurement; of several of a kind, the best is taken.
 
     cell: where touches are made; None where no faces are touched. noise: factor of the noise. touches: how many are
     chosen of those that can be made there.
@@ -196,7 +196,7 @@ class Offer:
 
 
 def offers(bound: BoundProblem, touched: CalibratedCell) -> Iterator[Offer]:
-    """Every way to go on that makes sense here, whether or not this arm can reach it."""
+    """Every further measurement that makes sense here, whether or not this arm can reach it."""
     faces, problem = touched.faces, touched.problem
     now = touched.tilt + MARGIN
     same = _cell(faces, now)
@@ -230,7 +230,7 @@ def offers(bound: BoundProblem, touched: CalibratedCell) -> Iterator[Offer]:
 
 
 def more_samples(problem: Problem) -> Iterator[Offer]:
-    """Ways to go on with an instrument that touches no faces."""
+    """Further measurements with an instrument that touches no faces."""
     for kind, count in (("same", EXTRA_TOUCHES), ("many", PLENTY)):
         yield Offer(kind, f"{count} planned samples of the same kind", problem, None, touches=count)
     yield Offer("noise", f"{EXTRA_TOUCHES} planned samples at half the noise", problem, None, 0.5)

@@ -188,7 +188,7 @@ TRIES = 20  # draws of what is kept to verify, until one places all that it touc
 
 
 def kept_to_verify(problem: Problem, pool: Samples, left: Index, count: int, rng: np.random.Generator) -> Index:
-    """So many of the measurements that are left, drawn at random, of as many faces, points or anchors as they place.
+    """Measurements drawn at random from those left, on as many faces, points or anchors as they locate.
 
     `verify` finds each of these anew from its own rows, and takes none with fewer than that needs. Where no draw
     suffices for one, it is any.
@@ -298,7 +298,7 @@ FLAT = 0.93  # error over that of fewer touches above which more bring little
 ENDS = 0.7  # error of all candidates over that of a number, below which a flat part is not the end of the curve
 
 
-def told(
+def plan_sentences(
     plan: Plan,
     compared: Sequence[SetUp],
     *,

@@ -19,9 +19,9 @@ from casacal.values import Array, Index, Value
 
 FIT, AGAIN, CHECK = "fit", "again", "check"
 PURPOSES = (FIT, AGAIN, CHECK)
-"""What a touch is for: to be fitted; to be made a second time at the end; never to be fitted, but judged."""
+"""Purposes of a touch: to be fitted; to be repeated at the end and fitted; to be kept for verification."""
 
-EXPECTED = "expected_"  # what the names of readings begin with that nobody has made yet
+EXPECTED = "expected_"  # prefix of readings that are expected and not yet made
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class Route(Value):
         return f"<Route of {len(self)} touches>"
 
 
-PLANNED_DECIMALS = 4  # of joint values in degrees and mm: what controllers take, and a few micrometres at the tip
+PLANNED_DECIMALS = 4  # decimals of joint values in degrees and mm: controllers take them; micrometres at the tip
 
 
 def postures_text(samples: Samples, purposes: Sequence[str], layout: Layout, notes: Sequence[str]) -> str:
@@ -58,7 +58,7 @@ def joints_shown(joints: Array, layout: Layout) -> list[str]:
 
 
 def touches_needed(problem: Problem, touches: Samples) -> int:
-    """How many touches `calibrate` takes at least for all unknowns of the arm and of the faces that are touched."""
+    """Smallest number of touches from which `calibrate` can fit all unknowns of the arm and the touched faces."""
     own = sum(
         u.size * len(instances(problem.instrument, key, u, touches)) for key, u in problem.instrument.unknowns.items()
     )

@@ -1,4 +1,4 @@
-"""A true instrument before a true arm, wherever it stands: what its rows leave, and how that changes."""
+"""A true instrument in front of a true arm: residuals of its rows, and their slopes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Bench:
 
     @property
     def read(self) -> int:
-        """How many columns are read."""
+        """Number of columns that are read."""
         return len(self.problem.instrument.columns)
 
     def before_reading(self, joints: Array) -> Array:
@@ -58,7 +58,7 @@ class Bench:
         return e, slopes.reshape(len(rows), data.shape[1], e.shape[1]).transpose(0, 2, 1)[:, :, : free.shape[1]]
 
     def beyond(self, free: Array, rows: Index) -> Array:
-        """How far (k,; mm) the tips of some rows lie outside their faces."""
+        """Distances (k,; mm) by which the tips of some rows lie outside their faces."""
         if not self.faces:
             return np.zeros(len(rows))
         (tips,) = self.problem.model.batch.tip(self.z[rows], self.c[rows], np.hstack([free, self.known[rows]]))
@@ -86,10 +86,10 @@ def bench_of(
     z, c = [np.zeros((samples, 0))], [np.zeros((samples, 0))]
     for key, unknown in problem.symbols.unknowns.items():
         of_rows: Sequence[str | None] = [None] * samples if unknown.per is None else labels[unknown.per]
-        seen: Sequence[str | None] = [None]
+        instances: Sequence[str | None] = [None]
         if unknown.per is not None:  # a label stands for the same thing in whatever order rows name them
-            seen = tuple(dict.fromkeys((*label_names(problem, cell, unknown.per), *labels[unknown.per].names)))
-        named = {_named(instrument, key, label): label or key for label in seen}
+            instances = tuple(dict.fromkeys((*label_names(problem, cell, unknown.per), *labels[unknown.per].names)))
+        named = {_named(instrument, key, label): label or key for label in instances}
         for k, (name, label) in enumerate(named.items()):
             place = stands(cell, label, spot(reached, None if _is_flat(unknown) else k))
             stands_at = instrument.stands(key, *place) if unknown.nominal is None else unknown.nominal
@@ -132,7 +132,7 @@ def _is_flat(unknown: Unknown) -> bool:
 CANDIDATES = 80  # random postures for each row; the one that fits best is where its search begins
 ROUNDS, STEPS = 30, 40  # times that rows are tried afresh, and Gauss-Newton steps of each
 FITS = 1e-9  # residual, in units of the largest of its noise or a thousandth of a unit, below which a row fits
-SLOW = 1e-3  # what a reading costs in the step that is sought, where a radian costs one: readings move before joints do
+SLOW = 1e-3  # cost of a reading in a step, where a radian costs one: readings move before joints do
 
 
 def exact_rows(bench: Bench, labels: Mapping[str, Labels], rng: np.random.Generator, *, rounds: int) -> Samples:
@@ -196,14 +196,14 @@ def _starts(bench: Bench, target: Array, rows: Index, rng: np.random.Generator) 
 
 
 def _met(bench: Bench, start: Array, target: Array, rows: Index, *, held: bool = False) -> tuple[Array, Rows]:
-    """Where Gauss-Newton's smallest steps lead from the starts, and which rows arrive; joints may be held."""
+    """End points of minimum-norm Gauss-Newton steps from the starts, and which rows arrive; joints may be held."""
     free = start.copy()
     n = len(bench.problem.robot.axes)
     unit = np.where(bench.problem.robot.revolute, 1.0, 1.0 / SLOW)
     ease = np.concatenate([unit * (not held), np.full(bench.read, 1.0 / SLOW)])
     size = max(float(np.abs(target).max(initial=0.0)), 1e-3)
     e, slopes = bench.residual(free, rows)
-    part = np.ones(len(free))  # of each row's step; a step that would lead away from the target is tried shorter
+    part = np.ones(len(free))  # fraction of each row's step; one that leads away from the target is tried shorter
     for _ in range(STEPS):
         miss = e - target
         if (np.abs(miss) <= FITS * size).all():

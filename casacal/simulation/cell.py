@@ -75,14 +75,14 @@ class Disturbances:
         return tuple(self.gear_waves)  # type: ignore[arg-type]  # pairs, once made
 
 
-def _waves(given: Mapping[int, float] | Sequence[tuple[int, float]]) -> tuple[tuple[int, float], ...]:
+def _waves(stated: Mapping[int, float] | Sequence[tuple[int, float]]) -> tuple[tuple[int, float], ...]:
     """Pairs of order and amplitude; raises SimulationError for what is none."""
-    pairs = given.items() if isinstance(given, Mapping) else given
+    pairs = stated.items() if isinstance(stated, Mapping) else stated
     try:
         waves = [(order, float(amplitude)) for order, amplitude in pairs]
     except (TypeError, ValueError):
         raise SimulationError(
-            f"Got {came(given)} as gear_waves", "Give {order: amplitude in rad}, such as {1: 1e-4}"
+            f"Got {came(stated)} as gear_waves", "Give {order: amplitude in rad}, such as {1: 1e-4}"
         ) from None
     for order, amplitude in waves:
         if isinstance(order, bool) or not isinstance(order, (int, np.integer)) or order < 1:
@@ -193,12 +193,12 @@ class Cell(Disturbances, Surroundings):
 
 
 OF_FACES = tuple(field.name for field in fields(Cell)[len(fields(Disturbances)) :] if field.name != "faces")
-"""What only a cell with faces can be asked for."""
+"""Settings that only a cell with faces has."""
 
 OF_TOUCHES = tuple(name for name in OF_FACES if name not in ("tilt", "travel"))
-"""What means nothing where no face is touched, and is refused there."""
+"""Settings that are refused where no face is touched."""
 
-OF_DIALS = ("dial_gain", "dial_cycle", "hysteresis", "drift")  # what only a reading shows
+OF_DIALS = ("dial_gain", "dial_cycle", "hysteresis", "drift")  # settings that only a reading shows
 
 
 def plate(

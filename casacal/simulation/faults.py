@@ -1,4 +1,4 @@
-"""What errs in a simulated cell beside the geometry: gears, gravity, warmth, the dial, the form of faces."""
+"""Simulated non-geometric errors: gears, joint compliance, warmth, the dial, the form of faces."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from casacal.simulation.cell import Cell, Disturbances
 from casacal.simulation.touches import TouchingArm
 from casacal.values import Array, Index
 
-TURN = 1.0  # what one turn of the pointer shows, mm
+TURN = 1.0  # reading of one turn of the pointer, mm
 ROUNDS = 60
 """Fixed-point steps: the steepest waves halve the miss with each, and leave less than 1e-11 mm; real gears need 3."""
 
@@ -36,12 +36,12 @@ class DialErrors:
 
     @staticmethod
     def drawn(cell: Cell, rng: np.random.Generator) -> DialErrors:
-        """Those of one dial."""
+        """Errors of one dial, drawn for a cell."""
         gain, phase = cell.dial_gain * float(rng.normal()), float(rng.uniform(0, 2 * math.pi))
         return DialErrors(gain, cell.dial_cycle, phase, cell.hysteresis, cell.drift)
 
     def shown(self, ways: Array, came: Array, when: Array) -> Array:
-        """Readings (N,) at true ways (N,), to which they grew (1) or fell (-1), at places 0 ... 1 of a session."""
+        """Readings (N,) at travels (N,), approached upwards (1) or downwards (-1), at times 0 to 1 of a session."""
         shown = ways
         for _ in range(ROUNDS if self.gain or self.cycle else 0):
             wave = self.cycle * np.sin(2 * math.pi * shown / TURN + self.phase)
@@ -58,7 +58,7 @@ class GearWave:
     phases: tuple[float, ...]
 
     def __call__(self, joints: Array) -> Array:
-        """How far joints (N, n) stand off, rad."""
+        """Deviations of joints (N, n) by the waves, rad."""
         return np.asarray(np.array(self.amplitudes) * np.sin(self.order * joints + np.array(self.phases)))
 
 
@@ -170,7 +170,7 @@ class ArmErrors:
         return np.asarray(yielding(touch, joints, readings)[0] * self.compliance / self.pull)
 
     def growth(self, when: Array) -> Array:
-        """Times (N,) by which the tip is further from the base at places 0 ... 1 of a session."""
+        """Factors (N,) of the tip's distance from the base at times 0 ... 1 of a session."""
         return np.asarray(1 + self.thermal * (1 - np.exp(-SOON * when)) / (1 - math.exp(-SOON)))
 
     def tips(self, touch: TouchingArm, joints: Array, readings: Array, when: Array) -> Array:

@@ -37,12 +37,12 @@ from casacal.simulation.touches import (
     ROUNDS,
     Draw,
     TouchingArm,
-    check_asked,
     default_cell,
     frame_coordinates,
     own_noise,
     plane_coordinates,
     refuse_cell,
+    refuse_face_settings,
     row_labels,
     true_unknowns,
     try_touches,
@@ -95,7 +95,7 @@ class SessionPlan:
         return np.arange(len(self.which)) / max(len(self.which) - 1, 1)
 
 
-FIRST = "first"  # what a simulated session is called, as are other labels that are no faces
+FIRST = "first"  # name of a simulated session, and of other labels that are no faces
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def touched_rows(
     truth_rng, pose_rng, noise_rng, form_rng, gear_rng, dial_rng, way_rng = draw.streams(7, of_the_arm=(0, 3, 4))
     local = draw.true(true_unknowns(problem, probe, cell.error_scale, truth_rng))
     touch = TouchingArm.of(problem.robot, problem.instrument, probe, local)
-    given = samples if isinstance(samples, Samples) else None
+    postures = samples if isinstance(samples, Samples) else None
     if isinstance(samples, Samples):
         cell, plan = replace(cell, repeats=1), SessionPlan.at(samples, probe.label, cell.faces)
     else:
@@ -205,20 +205,20 @@ def touched_rows(
     arm = ArmErrors(thermal=cell.thermal, waves=drawn_waves(problem.robot, cell.waves, gear_rng))
     forms = [int(form_rng.integers(2**32)) if cell.flatness > 0 else None for _ in cell.faces]
     contact = _Contact(touch, probe, cell, plan, lift, forms, arm.growth(plan.when))
-    if given is None:
+    if postures is None:
         joints, readings = contact.found(pose_rng)
     else:
-        joints, readings = given.joints, given.columns.get(probe.column or "", np.zeros(count))
+        joints, readings = postures.joints, postures.columns.get(probe.column or "", np.zeros(count))
     if cell.compliance > 0:
         arm = replace(arm, compliance=cell.compliance, pull=weighed(touch, joints, readings))
     sag = arm.sag(touch, joints, readings)
     came, pushed = ways(joints, plan.turn, cell.repeats, cell.approach, way_rng)
     scatter, lag = noise_rng.normal(size=(count, joints.shape[1])) * cell.joint_std, came * cell.backlash / 2
     said, ways_in, met = joints, readings[plan.place], np.ones(count, dtype=bool)
-    if given is None:
+    if postures is None:
         said = unwaved(arm.waves, joints - sag - scatter[plan.first] + lag[plan.first])[plan.place]
     standing = waved(arm.waves, said) + sag[plan.place] + scatter - lag
-    if given is not None:
+    if postures is not None:
         moved, ways_in, met = contact.there(standing, ways_in)
         said = said + moved
     elif plan.again.any():
@@ -228,9 +228,9 @@ def touched_rows(
     if probe.column is not None:
         shown = dial.shown(ways_in, -probe.sign * pushed, plan.when) + noise_rng.normal(size=count) * noise + outlier
         columns[probe.column] = rounded(shown, cell.resolution)
-    labels = _labels(problem, probe, cell, plan) if given is None else dict(given.labels)
+    labels = _labels(problem, probe, cell, plan) if postures is None else dict(postures.labels)
     recorded = rounded(said, cell.encoder_step)
-    file = draw.name if given is None else given.file
+    file = draw.name if postures is None else postures.file
     rows = Samples(recorded, columns, labels, tuple(range(1, count + 1)), {}, file, draw.name)
     return rows if met.all() else rows.take(np.flatnonzero(met)), local, arm, dial
 
@@ -252,10 +252,10 @@ def fitting_rows(
     samples: how many, or the postures in which to measure; those in which the true arm cannot are left out. Raises
     SimulationError when no posture inside the joint limits fits, or a cell asks for what only faces have.
     """
-    check_asked(problem, cell)
+    refuse_face_settings(problem, cell)
     truth_rng, pose_rng, noise_rng, _, gear_rng = draw.streams(5, of_the_arm=(0, 4))
-    given, count = (samples, len(samples)) if isinstance(samples, Samples) else (None, samples)
-    labels = row_labels(problem, cell, count) if given is None else dict(given.labels)
+    postures, count = (samples, len(samples)) if isinstance(samples, Samples) else (None, samples)
+    labels = row_labels(problem, cell, count) if postures is None else dict(postures.labels)
     bench = bench_of(problem, cell, labels, truth_rng, count, draw)
     instrument, n = problem.instrument, len(problem.robot.axes)
     outlier = gross_errors(cell, count, noise_rng)
@@ -263,7 +263,7 @@ def fitting_rows(
     target = noise_rng.normal(size=(count, problem.model.components)) * own + outlier[:, None]
     scatter = noise_rng.normal(size=(count, n)) * cell.joint_std
     arm = ArmErrors(drawn_waves(problem.robot, cell.waves, gear_rng))
-    if given is None:
+    if postures is None:
         free, met = found_rows(bench, target, pose_rng)
         if not met.all():
             raise SimulationError(
@@ -274,15 +274,15 @@ def fitting_rows(
         lag = last_moves(free[:, :n]) * cell.backlash / 2
         said = unwaved(arm.waves, free[:, :n] - scatter + lag)
     else:
-        standing = waved(arm.waves, given.joints) + scatter - last_moves(given.joints) * cell.backlash / 2
+        standing = waved(arm.waves, postures.joints) + scatter - last_moves(postures.joints) * cell.backlash / 2
         free, met = read_there(bench, standing, target)
-        said = given.joints + free[:, :n] - standing
+        said = postures.joints + free[:, :n] - standing
     recorded = rounded(said, cell.encoder_step)
     columns, read = {}, instrument.as_read(dict(zip(instrument.columns, free[:, n:].T, strict=True)))
     for name, dimension in instrument.columns.items():
         shown = read[name] + noise_rng.normal(size=count) * instrument.column_stds.get(name, 0.0)
         columns[name] = rounded(shown, cell.resolution if dimension == "length" else 0.0)
-    file = draw.name if given is None else given.file
+    file = draw.name if postures is None else postures.file
     rows = Samples(recorded, columns, labels, tuple(range(1, count + 1)), {}, file, draw.name)
     return rows if met.all() else rows.take(np.flatnonzero(met)), bench, arm
 
@@ -350,7 +350,7 @@ class Simulation(Value):
         return self.parts[self.problem.number(instrument)] if self.parts else self
 
     def true_tips(self, joints: Array, *, readings: Array | None = None, when: Array | float = 0.5) -> Array:
-        """Where the tip truly stands (N, 3; mm, base frame) at `joints` of the controller: what an ideal tracker sees.
+        """True tips (N, 3; mm, base frame) at `joints` of the controller, as an ideal tracker sees them.
 
         Gear waves, sag and growth move it beside the geometry. What differs from time to time at the same posture
         (repeatability, backlash, rounded encoders) is taken at its mean, zero. Of several instruments it is the tip of
@@ -418,7 +418,7 @@ def simulate_several(
         known = {key: local[full] for key, full in names.items() if full in local}
         own = cell
         if isinstance(cell, Cell) and alone.instrument.probe is None:  # such as a tracker in the cell of a dial
-            check_asked(alone, cell)
+            refuse_face_settings(alone, cell)
             own = Disturbances(**{field.name: getattr(cell, field.name) for field in fields(Disturbances)})
         occasion = i + len(problem.names) * session
         part = simulate_one(alone, own, counts[name], Draw(seed, occasion, FrozenMapping(known)))
@@ -482,10 +482,10 @@ def simulate(
     counts = {name: samples[name] if isinstance(samples, Mapping) else samples for name in problem.names}
     for count in counts.values():
         _check_count(count)
-    asked = {name: int(count) for name, count in counts.items()}
+    requested = {name: int(count) for name, count in counts.items()}
     if len(problem.instruments) > 1:
-        return simulate_several(problem, cell, asked, int(seed), int(session))
-    return simulate_one(problem, cell, asked[problem.names[0]], Draw(int(seed), int(session)))
+        return simulate_several(problem, cell, requested, int(seed), int(session))
+    return simulate_one(problem, cell, requested[problem.names[0]], Draw(int(seed), int(session)))
 
 
 def _postures_of(problem: Problem, samples: Samples) -> Samples:

@@ -164,8 +164,8 @@ def own_noise(problem: Problem) -> Array | float:
     return np.array(stds) if stds else instrument.residual_std
 
 
-def check_asked(problem: Problem, cell: Disturbances) -> None:
-    """Raise SimulationError where a cell asks for what only touches of faces have."""
+def refuse_face_settings(problem: Problem, cell: Disturbances) -> None:
+    """Raise SimulationError where a cell has settings that mean something only for touches of faces."""
     plain = Cell(faces=cell.faces) if isinstance(cell, Cell) else cell
     own = [name for name in OF_TOUCHES if getattr(cell, name, None) != getattr(plain, name, None)]
     if own:
@@ -217,7 +217,7 @@ class Draw:
 
     @property
     def name(self) -> str:
-        """Stands for the file of such samples."""
+        """Name in place of a file's for such samples."""
         return f"simulated-{self.seed}" + (f"-{self.session + 1}" if self.session else "")
 
     def streams(self, count: int, of_the_arm: Sequence[int]) -> tuple[np.random.Generator, ...]:
@@ -337,10 +337,10 @@ def refuse_cell(problem: Problem, probe: Probe, cell: Cell) -> None:
     if len(labels) > 1 and probe.label is None:
         fix = 'Declare plane=Plane(per="plane")'
         raise SimulationError(f"The cell has {len(labels)} faces and the problem one plane", fix)
-    asked = next((name for name in OF_DIALS if getattr(cell, name) > 0), None)
-    if asked and probe.column is None:
+    setting = next((name for name in OF_DIALS if getattr(cell, name) > 0), None)
+    if setting and probe.column is None:
         fix = "Leave it out, or declare reading=True"
-        raise SimulationError(f"The cell has a {asked}, and the problem touches without a dial", fix)
+        raise SimulationError(f"The cell has a {setting}, and the problem touches without a dial", fix)
 
 
 def default_cell(problem: Problem, *, table: float = 0.0) -> Cell:
@@ -449,7 +449,7 @@ def spot(reached: Array, k: int | None) -> Array:
 
 
 def stands(cell: Disturbances, label: str, place: Array) -> tuple[Array, Array]:
-    """Where a thing stands of which nobody says where: on the face of that name, or at some place in the workspace."""
+    """Place of a thing for which none is stated: on the face of that name, or somewhere in the workspace."""
     if isinstance(cell, Cell):
         face = cell.face(label)
         return np.asarray(face.centre), face.axes[0]

@@ -24,9 +24,9 @@ from casacal.data.columns import Labels
 from casacal.data.holdout import REGIONS, splits
 from casacal.data.samples import Samples
 from casacal.errors import CasacalError, UnknownNameError, refuse_unknown
+from casacal.fit.arm_alone import bind_further, extended
 from casacal.fit.bound_problem import BoundProblem, bind
 from casacal.fit.least_squares import Result, Status
-from casacal.fit.seen import bind_further, extended
 from casacal.model.problem import Problem
 from casacal.model.problem_file import load_problem
 from casacal.study.description import Method, Run, Study
@@ -47,7 +47,7 @@ REFUSED = "†"
 
 @dataclass(frozen=True)
 class Published:
-    """A figure that somebody stated: of which method, in the unit of the set's metric, and by whom."""
+    """A published figure: the method, its value in the unit of the set's metric, and the source."""
 
     method: str
     figure: float
@@ -110,22 +110,22 @@ def read_set(folder: str | Path) -> BenchmarkSet:
     """The set that a folder describes; raises CasacalError where a part is missing or of the wrong kind."""
     path = Path(folder) / DESCRIPTION
     try:
-        told = tomllib.loads(path.read_text(encoding="utf-8"))
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:  # no TOML, or no UTF-8
         raise CasacalError(f"{path} is no TOML: {error}", "Mend it") from None
     words = ("title", "source", "licence", "file", "sha256", "metric", "blocks")
     for word in words:
-        if not isinstance(told.get(word), str):
+        if not isinstance(table.get(word), str):
             raise CasacalError(f"{path} does not say its {word}", f'Add {word} = "..."')
-    if told["metric"] not in METRICS:
-        raise CasacalError(f"The metric of {path} is '{told['metric']}'", f"Use {' or '.join(METRICS)}")
-    if not isinstance(stated := told.get("stated", {}), Mapping):
+    if table["metric"] not in METRICS:
+        raise CasacalError(f"The metric of {path} is '{table['metric']}'", f"Use {' or '.join(METRICS)}")
+    if not isinstance(stated := table.get("stated", {}), Mapping):
         raise _no_split(stated, str(path))
     try:
-        found = tuple(Published(str(p["method"]), float(p["figure"]), str(p["by"])) for p in told.get("published", ()))
+        found = tuple(Published(str(p["method"]), float(p["figure"]), str(p["by"])) for p in table.get("published", ()))
     except (KeyError, TypeError, ValueError):
         raise CasacalError(f"A published figure of {path} lacks a part", "Say method, figure and by") from None
-    place, parts = Path(folder), {word: told[word] for word in words}
+    place, parts = Path(folder), {word: table[word] for word in words}
     return BenchmarkSet(place.resolve().name, place.as_posix(), **parts, stated=FrozenMapping(stated), published=found)
 
 
@@ -172,8 +172,8 @@ def _stated(samples: Samples, stated: Mapping[str, Any]) -> tuple[Index, list[In
 
 def _no_split(stated: object, place: str) -> CasacalError:
     ways = 'part = 0.3, seed = 0 (of so many "rows"); folds = 5, seed = 0; or column = "split", value = "test"'
-    told = ", ".join(f"{k} = {v!r}" for k, v in stated.items()) if isinstance(stated, Mapping) else repr(stated)
-    return CasacalError(f"The stated split of {place} is {told}", f"Use a table with {ways}")
+    split = ", ".join(f"{k} = {v!r}" for k, v in stated.items()) if isinstance(stated, Mapping) else repr(stated)
+    return CasacalError(f"The stated split of {place} is {split}", f"Use a table with {ways}")
 
 
 def _blocks(samples: Samples, blocks: str) -> list[Index]:
@@ -216,7 +216,7 @@ class Fold:
 
 
 class UnseenToo(BoundProblem):
-    """The fitted rows under the geometry, as the harness sees them; methods take the whole arm and all rows."""
+    """Fitted rows with the geometry alone, for the harness; methods get the whole arm and all rows."""
 
     def __init__(self, arm: Problem, fitted: Samples, unseen: Samples) -> None:
         bound = bind(arm.without_terms, fitted)
@@ -226,25 +226,25 @@ class UnseenToo(BoundProblem):
 
 @dataclass(frozen=True)
 class FoldTrial:
-    """Rows to fit, rows that are not seen, and how what is left of these counts."""
+    """Rows to fit, unseen rows, and the metric of their residuals."""
 
     problem: UnseenToo
     metric: str
 
     def judge(self, result: Result) -> dict[str, float]:
-        """Sum of the squares of what is left, how many rows were not seen, and whether the method denied itself."""
+        """Sum of squared residuals, number of unseen rows, and whether the method's own verdict refused its result."""
         squares = squares_of(result.trace["left"], self.metric)
         refused = float(result.trace["refused"][0])
         return {"squares": float(squares.sum()), "rows": float(squares.size), "refused": refused}
 
     def detail(self, result: Result) -> Mapping[str, Any]:
-        """Nothing more."""
+        """No further data."""
         del result
         return {}
 
 
 def squares_of(residuals: Array, metric: str) -> Array:
-    """Square (N,) of what is left of each unseen row (N, m), by the set's metric; CasacalError where they are none."""
+    """Squared error (N,) of each unseen row's residuals (N, m) by the set's metric; CasacalError where not finite."""
     if residuals.ndim != 2 or not np.isfinite(residuals).all():
         raise CasacalError(f"Residuals came in the shape {residuals.shape}, or not finite", "Return (N, m) of them")
     if metric == "rms":
@@ -254,7 +254,7 @@ def squares_of(residuals: Array, metric: str) -> Array:
 
 @dataclass(frozen=True)
 class Told:
-    """Residuals (N, m) of the unseen rows, and the verdict that the method itself gave of its result."""
+    """Residuals (N, m) of the unseen rows, and the method's own verdict on its result."""
 
     residuals: Array
     verdict: str
@@ -271,10 +271,10 @@ Way = Callable[[Problem, Samples, Samples], Array | Told]
 
 def estimate(metered: Any, way: Way) -> Result:
     """Residuals of a method on unseen rows, in place of a trace."""
-    problem: UnseenToo = metered.problem  # what the harness counts evaluations of
-    told = way(problem.arm, problem.fitted, problem.unseen)
-    told = told if isinstance(told, Told) else Told(told, "")
-    residuals, refused = np.asarray(told.residuals, dtype=np.float64), told.verdict == "do not use"
+    problem: UnseenToo = metered.problem  # the problem whose evaluations the harness counts
+    answer = way(problem.arm, problem.fitted, problem.unseen)
+    answer = answer if isinstance(answer, Told) else Told(answer, "")
+    residuals, refused = np.asarray(answer.residuals, dtype=np.float64), answer.verdict == "do not use"
     trace = {"left": residuals, "refused": np.array([float(refused)])}
     return Result("bench", problem, problem.x0.copy(), Status.UNSAID, trace)
 

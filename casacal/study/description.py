@@ -1,4 +1,4 @@
-"""What a study is, settings, methods, trials and a seed, its records, and the key of what determines it."""
+"""A study (settings, methods, trials, a seed), its records, and the fingerprint by which each record is keyed."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def _described(value: Any, within: tuple[int, ...]) -> Any:
 
 
 def _state(value: Any) -> Any:
-    """Fields of a dataclass, attributes of any other object; what has none counts by its text."""
+    """Fields of a dataclass, or attributes of another object; the text of one that has neither."""
     if dataclasses.is_dataclass(value):
         return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
     return vars(value) if hasattr(value, "__dict__") else str(value)
@@ -128,8 +128,8 @@ def _ours(module: str | None) -> bool:
 
 def _code(code: CodeType) -> Any:
     # neither file nor line numbers: moving a function does not change what it computes
-    told = {first for first in code.co_consts[:1] if isinstance(first, str)}  # the docstring
-    constants = [_code(c) if isinstance(c, CodeType) else repr(c) for c in code.co_consts if c not in told]
+    docstring = {first for first in code.co_consts[:1] if isinstance(first, str)}  # none where there is none
+    constants = [_code(c) if isinstance(c, CodeType) else repr(c) for c in code.co_consts if c not in docstring]
     return [_digest(code.co_code), list(code.co_names), constants]
 
 
@@ -149,9 +149,9 @@ Key: TypeAlias = tuple[str, int]
 DIGITS = 10  # significant digits that a record keeps of a number
 TIMING_DIGITS = 4
 TIMINGS = "seconds"  # the one entry of a record that may differ when the trial is run again
-LIMIT = "limit"  # what a record has besides where a time limit ended its method: that limit in seconds
+LIMIT = "limit"  # key of the time limit, in seconds, in a record whose method it ended
 _CHECKED = re.compile(rb',"check":"([0-9a-f]{16})"}$')
-"""How a line ends: with the first half of the SHA-256 of the line without this end."""
+"""End of a line: the first half of the SHA-256 of the line without this end."""
 
 
 def key_of(record: Mapping[str, Any]) -> Key:
@@ -265,7 +265,7 @@ class Appender:
 
 
 def merged(parts: Sequence[Iterable[Record]]) -> list[Record]:
-    """All records of several runs, each key once; what a time limit ended gives way to what had more time.
+    """All records of several runs, each key once; of two, the one whose method had more time.
 
     Raises StudyError when two records of one key differ in more than their timings.
     """
@@ -346,7 +346,7 @@ class Trial(Protocol):
 
 
 class Setting(Protocol):
-    """Where trials come from: a problem in a cell, a file of measurements split at random, ..."""
+    """Source of trials: a problem in a cell, a file of measurements split at random, ..."""
 
     def trial(self, seed: int) -> Trial:
         """The trial of a seed; the same for the same seed, whoever asks."""
@@ -403,7 +403,7 @@ class Study:
         return found if isinstance(found, Method) else Method(found)
 
     def trials_of(self, method: str) -> int:
-        """In how many trials of a setting a method takes part."""
+        """Number of trials of a setting in which a method takes part."""
         most = self.method(method).trials
         return self.trials if most is None else min(most, self.trials)
 

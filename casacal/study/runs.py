@@ -28,8 +28,8 @@ from casacal.study.trial import Task, failed, heads, perform, trial_records
 from casacal.threads import VARIABLE as THREADS
 from casacal.threads import one_thread_each
 
-Asked = TypeVar("Asked")
-Answered = TypeVar("Answered")
+Item = TypeVar("Item")
+Made = TypeVar("Made")
 
 CONNECT_SECONDS, CLOSE_SECONDS = 10, 5
 
@@ -98,8 +98,8 @@ def _key(path: str, quick: bool, trials: int, setting: str, method: str) -> str:
     return _study(path, quick, trials).fingerprint(setting, method)
 
 
-def in_processes(function: Callable[[Asked], Answered], tasks: Sequence[Asked], workers: int) -> Iterator[Answered]:
-    """In `workers` fresh processes of this machine; the function and its tasks must be importable and picklable.
+def in_processes(function: Callable[[Item], Made], tasks: Sequence[Item], workers: int) -> Iterator[Made]:
+    """Results of a function, task by task, from `workers` fresh processes; function and tasks must be picklable.
 
     Raises StudyError when a process dies.
     """
@@ -119,7 +119,7 @@ def in_processes(function: Callable[[Asked], Answered], tasks: Sequence[Asked], 
 
 
 def begin_worker(*, shared: bool = True) -> None:
-    """Leave interruptions from the keyboard to the process that asks, and end with it, also when it is killed.
+    """Leave keyboard interrupts to the parent process, and end with it, also when it is killed.
 
     shared: whether others run beside it, so that one thread must do.
     """
@@ -137,8 +137,8 @@ def _end_with_parent() -> None:
         os._exit(1)  # a worker whose parent is gone waits for tasks for ever
 
 
-def on_cluster(function: Callable[[Asked], Answered], tasks: Sequence[Asked], address: str) -> Iterator[Answered]:
-    """On the Dask cluster whose scheduler listens at `address`, such as tcp://host:8786.
+def on_cluster(function: Callable[[Item], Made], tasks: Sequence[Item], address: str) -> Iterator[Made]:
+    """Results of a function, task by task, from the Dask cluster whose scheduler listens at `address` (tcp://host:8786).
 
     Its workers need casacal and the study's file at the same path. Raises StudyError without the extra `cluster`,
     when no scheduler answers, or when its workers are lost.
@@ -188,9 +188,9 @@ def supervised(name: str, errands: Sequence[Errand], seconds: float, workers: in
     one_thread_each()
     stopped, stop = multiprocessing.get_context("spawn").Pipe(duplex=False)
     with ThreadPoolExecutor(workers) as pool:
-        asked = [pool.submit(_records, name, errand, seconds, workers, stopped) for errand in errands]
+        running = [pool.submit(_records, name, errand, seconds, workers, stopped) for errand in errands]
         try:
-            for future in as_completed(asked):
+            for future in as_completed(running):
                 yield future.result()
         finally:
             stop.close()
@@ -255,7 +255,7 @@ def _heard(
 
 
 def _words(process: BaseProcess) -> str:
-    """How a process ended, as the message of a failure."""
+    """Failure message for the way a process ended."""
     code = None
     if wait([process.sentinel], LEEWAY):
         with _CHILDREN:
@@ -364,13 +364,13 @@ def run(
         if workers == 1 and scheduler is None and timeout is None:
             all_made: Iterator[list[Record]] = (perform(study, task) for task in missing)
         else:
-            asked = errands(study, missing, file, quick)
+            work = errands(study, missing, file, quick)
             if timeout is not None:
-                all_made = supervised(study.name, asked, timeout, workers)
+                all_made = supervised(study.name, work, timeout, workers)
             elif scheduler is not None:
-                all_made = on_cluster(perform_errand, asked, scheduler)
+                all_made = on_cluster(perform_errand, work, scheduler)
             else:
-                all_made = in_processes(perform_errand, asked, workers)
+                all_made = in_processes(perform_errand, work, workers)
         for made in all_made:
             appender.append(made)
             count += len(made)
@@ -413,7 +413,7 @@ def merge(study: Study, parts: Sequence[Path], out: Path, *, quick: bool = False
 
 
 def missing(study: Study, made: Run) -> int:
-    """How many records of a study a run does not have."""
+    """Number of a study's records that a run lacks."""
     return sum(len(task.methods) for task in tasks_of(study)) - len(made.records)
 
 

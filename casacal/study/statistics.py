@@ -30,7 +30,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class Paired:
-    """How two methods compare over trials that both finished: ratio of their figures, and Wilcoxon's p."""
+    """Comparison of two methods over trials that both finished: ratio of their figures, and Wilcoxon's p."""
 
     ratio: Interval  # geometric mean of the ratios; below one, the first method's figure is smaller
     p: float

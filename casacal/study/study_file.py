@@ -140,12 +140,12 @@ def write_report(source: StudyFile, run: Run, options: str) -> Path:
     run.out.mkdir(parents=True, exist_ok=True)
     commands = [f"{command}{options}" for command in source.commands]
     try:
-        told = source.report(run)
+        report = source.report(run)
     except (Exception, SystemExit) as error:  # a user's function may raise anything
         raise _failure(Path(source.path or source.name), error) from error
-    if not isinstance(told, Iterable):
-        raise StudyError(f"Got {came(told)} from report(run) of '{source.path}'", "Return the lines of report.md")
-    said_by_study = told.splitlines() if isinstance(told, str) else map(str, told)
+    if not isinstance(report, Iterable):
+        raise StudyError(f"Got {came(report)} from report(run) of '{source.path}'", "Return the lines of report.md")
+    said_by_study = report.splitlines() if isinstance(report, str) else map(str, report)
     lines = [*said_by_study, "", "## How this was made", ""]
     lines += [f"{' or '.join(f'`{command}`' for command in commands)}.", ""]
     if run.study is not None:

@@ -60,7 +60,7 @@ class Metered(LeastSquares):
         """Whitened residuals (rows,)."""
         r = self.problem.residual(x)
         self._count(self.rows, 0)
-        self._seen(float(r @ r) / 2 + self.prior_cost(x))
+        self._note_cost(float(r @ r) / 2 + self.prior_cost(x))
         return r
 
     def jacobian(self, x: Array) -> Array:
@@ -73,7 +73,7 @@ class Metered(LeastSquares):
         normal = self.problem.normal(x, loss)
         self._count(self.rows, self.rows)
         if loss is None:
-            self._seen(normal.cost + self.prior_cost(x))
+            self._note_cost(normal.cost + self.prior_cost(x))
         return normal
 
     def damped_step(self, x: Array, normal: Normal, damping: float) -> DampedStep | None:
@@ -90,7 +90,7 @@ class Metered(LeastSquares):
         found = self.problem.costs(states, loss)
         self._count(self.rows * len(states), 0)
         if loss is None:
-            self._seen(float(np.min(found, initial=math.inf)))
+            self._note_cost(float(np.min(found, initial=math.inf)))
         return found
 
     def filter_pass(self, first: int, mean: Array, root: Array) -> FilterPass | None:
@@ -121,7 +121,7 @@ class Metered(LeastSquares):
         self.residual_rows += residual_rows
         self.jacobian_rows += jacobian_rows
 
-    def _seen(self, cost: float) -> None:
+    def _note_cost(self, cost: float) -> None:
         if math.isfinite(cost) and (not self.best or cost < self.best[-1][2]):
             self.best.append((self.residual_rows, self.jacobian_rows, cost))
 
@@ -149,7 +149,7 @@ class Task:
 
 @contextlib.contextmanager
 def undone(seed: int) -> Iterator[None]:
-    """Put back afterwards: folder, environment, error handling of NumPy, warnings, and the common random numbers.
+    """Restore afterwards: folder, environment, error handling of NumPy, warnings, and the common random numbers.
 
     These begin at a seed, so that a method which draws from them does the same whatever ran before. What overflows
     raises nothing meanwhile.
@@ -288,7 +288,7 @@ def _measured(study: Study, made: Trial, method: str, trial: int, rows: dict[str
 
 
 def failed(message: str) -> Record:
-    """The record of a method that gave no answer, and what it said instead."""
+    """Record of a method that failed, with its message."""
     return {"status": "FAILED", "converged": False, "error": message, "figures": {}, "counts": {}, TIMINGS: {}}
 
 
@@ -305,17 +305,17 @@ def _trace(problem: LeastSquares, metered: Metered, result: Result) -> list[list
             [[p * result.residual_rows, p * result.jacobian_rows, c] for p, c in zip(parts, costs, strict=True)]
         )
     path = result.trace.get("filter_x", result.trace.get("x"))
-    seen = [list(map(float, point)) for point in metered.best]
-    seen += [[float(metered.residual_rows), float(metered.jacobian_rows), seen[-1][2]]] if seen else []
+    best = [list(map(float, point)) for point in metered.best]
+    best += [[float(metered.residual_rows), float(metered.jacobian_rows), best[-1][2]]] if best else []
     if path is None:
-        return _thinned(seen)
+        return _thinned(best)
     # rows of the filter alone: before the first whole evaluation, if one followed
     spent = (metered.residual_rows, metered.jacobian_rows)
     rows = spent if not metered.best else tuple(max(count - problem.rows, 0) for count in metered.best[0][:2])
     chosen = np.unique(np.linspace(0, len(path) - 1, POINTS).astype(int))
     parts = chosen / max(len(path) - 1, 1)
     passed = [[p * rows[0], p * rows[1], problem.cost(path[k])] for k, p in zip(chosen, parts, strict=True)]
-    return passed + _thinned(seen)
+    return passed + _thinned(best)
 
 
 def _thinned(points: list[list[float]]) -> list[list[float]]:

@@ -1,4 +1,4 @@
-"""How large effects beside the geometry are, as the rows show them: restricted marginal likelihood."""
+"""Sizes of non-geometric effects from the rows, by restricted marginal likelihood."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class NormalEquations:
     square: float
 
     def __add__(self, other: NormalEquations) -> NormalEquations:
-        """Both together."""
+        """Normal equations of both sets of rows."""
         return NormalEquations(
             self.information + other.information, self.toward + other.toward, self.square + other.square
         )
@@ -39,8 +39,8 @@ class NormalEquations:
         return NormalEquations(slopes.T @ slopes, slopes.T @ heights, float(heights @ heights))
 
 
-def told(problem: LeastSquares, x: Array) -> NormalEquations:
-    """All rows of a problem at x (n,), about which y = J (x - x0) - r."""
+def normal_equations(problem: LeastSquares, x: Array) -> NormalEquations:
+    """Normal equations of all rows of a problem, linearised at x (n,): y = J (x - x0) - r."""
     normal, away = problem.normal(x), x - problem.x0
     information = normal.information
     square = 2 * (normal.cost - float(away @ normal.gradient)) + float(away @ information @ away)
@@ -66,7 +66,7 @@ def evidence(rows: NormalEquations, prior: Array) -> float:
 
 MORE = 1.3  # noise as found over stated beyond which something errs that is larger than expected
 LARGE = 50.0  # times its size of an effect of no physical size, from which the search then starts once more
-HELD = (1.0, 1.0)  # of what has no size to be found, and stays as it was declared
+HELD = (1.0, 1.0)  # doubt and most of a term whose size stays as it was declared
 SMALLER = math.log(6.0)  # how much smaller than usual any effect may well be: some arms hardly have it
 NOISE_DOUBT = 3.0  # times by which noise may well exceed what was stated
 
@@ -77,7 +77,7 @@ STOP = {"ftol": 1e-7}
 
 @dataclass(frozen=True)
 class Sizes:
-    """Times by which effects are larger than was expected of them, by key, and noise over what was used."""
+    """Size of each effect over its expected size, by key, and noise over the noise in use."""
 
     times: Mapping[str, float]
     noise: float
@@ -88,12 +88,12 @@ class Sizes:
 def effect_sizes(
     problem: LeastSquares,
     x: Array,
-    beside: Sequence[str],
+    effect_of: Sequence[str],
     known: Mapping[str, tuple[float, float]],
     *,
     stated: float = 1.0,
     least: float | None = 1.0,
-    seen: NormalEquations | None = None,
+    normal: NormalEquations | None = None,
     start: Mapping[str, float] | None = None,
     search: bool = True,
 ) -> Sizes:
@@ -102,19 +102,19 @@ def effect_sizes(
     Args:
         problem: with unknowns of effects, at the sizes that are expected of them.
         x: where it is fitted (n,).
-        beside: for each of its unknowns (n,) the effect that it belongs to, empty for those of the geometry.
+        effect_of: key of the effect that each unknown (n,) belongs to, empty for the geometry.
         known: for each effect the times by which its size may well be larger (one holds it; smaller by the square of
             them, up to six), and those that it never is.
         stated: stated noise over that with which the problem weighs its rows. These weights are the most: what geometry
             alone leaves in the rows is explained by effects in part, never made more.
         least: part of the stated noise that there is at least; None leaves the noise as it is.
-        seen: what the rows say at x, where that is known.
+        normal: normal equations of the rows at x; by default they are formed here.
         start: times by which effects are about as large, where that is known: nothing else is then tried.
         search: False stays at the start and only says how likely the rows are there.
 
     """
-    keys = [key for key in dict.fromkeys(beside) if key]
-    groups = [np.flatnonzero(np.array(beside) == key) for key in keys]
+    keys = [key for key in dict.fromkeys(effect_of) if key]
+    groups = [np.flatnonzero(np.array(effect_of) == key) for key in keys]
     sizes = [known.get(key, HELD) for key in keys]
     spread = np.array([math.log(doubt) for doubt, _ in sizes] + [math.log(NOISE_DOUBT)])
     most = np.array([math.log(times) for _, times in sizes])
@@ -125,19 +125,20 @@ def effect_sizes(
     # the likelihood has several tops where something large errs
     if start is None and stated * (least or 1.0) < 1 / MORE:
         starts.append(np.append(np.where(most > math.log(LARGE), math.log(LARGE), 0.0), 0.0))
-    given = (seen or told(problem, x), problem.rows, np.diagonal(problem.prior_information), groups, expected, spread)
+    normal, prior = normal or normal_equations(problem, x), np.diagonal(problem.prior_information)
+    args = (normal, problem.rows, prior, groups, expected, spread)
     if search:
-        found = [minimize(_objective, at, given, "L-BFGS-B", jac=True, bounds=bounds, options=STOP) for at in starts]
+        found = [minimize(_objective, at, args, "L-BFGS-B", jac=True, bounds=bounds, options=STOP) for at in starts]
         cost, logs = min(((float(top.fun), top.x) for top in found), key=lambda top: top[0])
     else:
-        cost, logs = _objective(starts[0], *given)[0], starts[0]
+        cost, logs = _objective(starts[0], *args)[0], starts[0]
     times = FrozenMapping({key: float(np.exp(t)) for key, t in zip(keys, logs[:-1], strict=True)})
     return Sizes(times, float(np.exp(logs[-1])), -cost / 2)
 
 
 def _objective(
     logs: Array,
-    seen: NormalEquations,
+    normal: NormalEquations,
     rows: int,
     beforehand: Array,
     groups: Sequence[NDArray[np.intp]],
@@ -148,15 +149,15 @@ def _objective(
     variance, prior = math.exp(2 * logs[-1]), beforehand.copy()
     for log, group in zip(logs[:-1], groups, strict=True):
         prior[group] *= math.exp(-2 * log)
-    posterior = seen.information / variance
+    posterior = normal.information / variance
     posterior.flat[:: len(prior) + 1] += prior
     scale = 1.0 / np.sqrt(np.diagonal(posterior))
     root, failed = dpotrf(scale[:, None] * posterior * scale, lower=1)
     if failed:
         return math.inf, np.zeros_like(logs)
     spreads = np.diagonal(dpotri(root, lower=1)[0]) * scale**2
-    x = scale * dpotrs(root, scale * seen.toward / variance, lower=1)[0]
-    left = seen.square - 2 * float(seen.toward @ x) + float(x @ seen.information @ x)
+    x = scale * dpotrs(root, scale * normal.toward / variance, lower=1)[0]
+    left = normal.square - 2 * float(normal.toward @ x) + float(x @ normal.information @ x)
     held = prior > 0
     determinant = 2 * float(np.log(np.diagonal(root)).sum() - np.log(scale).sum()) - float(np.log(prior[held]).sum())
     value = rows * 2 * logs[-1] + determinant + left / variance + float((prior * x**2).sum())

@@ -17,7 +17,7 @@ LARGE = 50_000  # rows among which it is no matter whether an unknown more or le
 
 
 def effective_unknowns(problem: LeastSquares, x: Array, loss: Loss | None = None) -> float:
-    """How many unknowns the data determined at x (n,): the trace of the hat matrix, right under any mix of priors."""
+    """Number of unknowns that the data determined at x (n,): the trace of the hat matrix, under any mix of priors."""
     if problem.rows > LARGE:
         return determined(problem.normal(x, loss).information, problem.prior_rows)
     rows = problem.weighted_rows(x, loss)
@@ -46,8 +46,8 @@ def _inverse_root(rows: Array, prior: Array) -> Array:
     sizes = np.linalg.norm(stacked, axis=0)
     scale = 1.0 / np.where(sizes > 0, sizes, 1.0)
     _, values, right = svd(stacked * scale)
-    seen = values > len(scale) * np.finfo(float).eps * values.max(initial=0.0)
-    return np.asarray(scale[:, None] * right[seen].T / values[seen])
+    held = values > len(scale) * np.finfo(float).eps * values.max(initial=0.0)
+    return np.asarray(scale[:, None] * right[held].T / values[held])
 
 
 HALF_WEIGHT = 0.5  # weight under a robust loss below which a row counts as ignored
@@ -94,7 +94,7 @@ def ratio_interval(total: float, free: float) -> tuple[float, float, float]:
 
 
 def _counting(loss: Loss | None) -> Loss:
-    """A loss that counts rows of which another leaves half or more, and no others."""
+    """Loss that gives a row weight one where another loss weighs it by half or more, else zero."""
     assert loss is not None
 
     def weight(r: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Rows that a fit has not seen, against what it expects of them: restricted likelihood, in whitened rows.
+"""Fresh rows against a fit's prediction of them: restricted likelihood, in whitened rows.
 
 The residuals of such rows hold their own noise, what the fit may err by, and unknowns that these rows alone know, such
 as where a new face stands: r = e + K d + O u with e ~ N(0, I), d ~ N(0, C), u free. What O spans says nothing and is
@@ -28,8 +28,8 @@ from casacal.values import Array, Index
 
 CHANCE = 1e-4  # chance that rows which are as expected have any that is called gross (Bonferroni)
 MOST_GROSS = 0.05  # beyond this fraction of the rows (and three of them) it is not single rows that are off
-SEEN = 0.1
-"""Whitened length of a plausible change below which its direction is not looked for: rows could never show it."""
+VISIBLE = 0.1
+"""Whitened length of a plausible change below which its direction is ignored: rows could never show it."""
 
 ROUNDING = 16 * float(np.finfo(float).eps)
 
@@ -52,22 +52,22 @@ class FreshRows:
 
     @cached_property
     def basis(self) -> Array:
-        """Orthonormal basis (m, rank) of what the own unknowns absorb."""
+        """Orthonormal basis (m, rank) of the span of the own unknowns, O."""
         return spanned(self.own)
 
-    def beside(self, columns: Array) -> Array:
-        """N times columns (m,) or (m, c): what the own unknowns leave of them."""
+    def projected(self, columns: Array) -> Array:
+        """N times columns (m,) or (m, c): their part orthogonal to the own unknowns."""
         return np.asarray(columns - self.basis @ (self.basis.T @ columns))
 
     @cached_property
     def left(self) -> Array:
         """Residuals (m,) with the own unknowns fitted."""
-        return self.beside(self.residual)
+        return self.projected(self.residual)
 
     @cached_property
     def across(self) -> Array:
         """N B (m, k)."""
-        return self.beside(self.spread)
+        return self.projected(self.spread)
 
     @cached_property
     def half(self) -> Array:
@@ -99,9 +99,9 @@ class FreshRows:
     def deleted(self) -> Array:
         """Residuals (m,) where all other rows predict them, standard normal."""
         free = np.maximum(1.0 - (self.basis**2).sum(axis=1) - (self._pulls**2).sum(axis=1), 0.0)
-        told = free > 1e-9  # a row that its own unknowns follow wherever it is has nothing to be judged by
+        judged = free > 1e-9  # a row that its own unknowns follow wherever it is has nothing to be judged by
         off = self.left - self._pulls @ (self._pulls.T @ self.left)
-        return np.where(told, off / np.sqrt(np.where(told, free, 1.0)), 0.0)
+        return np.where(judged, off / np.sqrt(np.where(judged, free, 1.0)), 0.0)
 
     def gross(self) -> Index:
         """Rows that the others do not expect where they are, worst first; none where more than single ones are off.
@@ -130,22 +130,22 @@ class FreshRows:
         size of the arm would without that be among them: where faces hold no length, a change of it moves the residuals
         in proportion to themselves. scaled: whitened derivative (m, a) by what may have changed, in units of its prior.
         """
-        directions, sizes, _ = svd(self.beside(scaled))
-        seen = directions[:, sizes >= 1.0]
-        along, left = seen.T @ self.spread, seen.T @ self.residual
+        directions, sizes, _ = svd(self.projected(scaled))
+        decided = directions[:, sizes >= 1.0]
+        along, left = decided.T @ self.spread, decided.T @ self.residual
         return float(left @ np.linalg.solve(np.eye(len(left)) + along @ along.T, left)), len(left)
 
     @cached_property
     def directions(self) -> tuple[Array, Array]:
-        """U (m, d) and the diagonal of S (d,): where the fit may err, and by how much of the noise."""
+        """U (m, d) and the diagonal of S (d,): directions in which the fit may err, and by how many units of noise."""
         found, sizes, _ = svd(self.across)
         return found, sizes
 
     def whitened(self, columns: Array) -> Array:
         """L times columns (m, c)."""
-        beside, (directions, sizes) = self.beside(columns), self.directions
+        left, (directions, sizes) = self.projected(columns), self.directions
         shrink = 1.0 - 1.0 / np.sqrt(1.0 + sizes**2)
-        return np.asarray(beside - directions @ (shrink[:, None] * (directions.T @ beside)))
+        return np.asarray(left - directions @ (shrink[:, None] * (directions.T @ left)))
 
     @cached_property
     def white(self) -> Array:
@@ -183,7 +183,7 @@ def covariance_root(covariance: Array) -> Array:
 
 
 def spanned(columns: Array) -> Array:
-    """Orthonormal basis (m, rank) of what columns (m, k) span, whatever their units."""
+    """Orthonormal basis (m, rank) of the span of columns (m, k), whatever their units."""
     sizes = np.linalg.norm(columns, axis=0)
     scaled = columns[:, sizes > 0] / sizes[sizes > 0]
     if not scaled.size:
@@ -193,16 +193,16 @@ def spanned(columns: Array) -> Array:
 
 
 def learnt(covariance: Array, jacobian: Array, own: Array) -> Array:
-    """Covariance (n, n) that would remain of what the fit found, had it seen these rows as well."""
+    """Covariance (n, n) of the fit's unknowns after an update by these rows."""
     root = covariance_root(covariance)
     left = root @ FreshRows(np.zeros(len(own)), jacobian @ root, own).half.T
     return np.asarray(left @ left.T)
 
 
-def seen_basis(columns: Array, sizes: Array) -> Array:
-    """Orthonormal basis (m, rank) of what whitened columns (m, k) span, for changes of these sizes (k,) that show."""
+def visible_basis(columns: Array, sizes: Array) -> Array:
+    """Orthonormal basis (m, rank) of whitened columns (m, k), for changes of these sizes (k,) longer than `VISIBLE`."""
     left, values, _ = svd(columns * sizes)
-    return np.asarray(left[:, values > SEEN])
+    return np.asarray(left[:, values > VISIBLE])
 
 
 def likelihood(chi_square: float, freedom: int, noise_freedom: float = math.inf) -> float:

@@ -1,4 +1,4 @@
-"""What the data can and cannot tell: rank, null directions by kind, weak directions.
+"""Identifiability from the data: rank, null directions by kind, weak directions.
 
 NumPy on the `LeastSquares` seam and a tip Jacobian; it does not know where either came from. Definition, so that
 figures can be compared: the whitened Jacobian at the nominal; its rank at 1e-9 of the largest singular value, columns
@@ -16,7 +16,7 @@ import numpy as np
 
 from casacal.fit.least_squares import LeastSquares
 from casacal.linalg import correlation, right_directions, svd
-from casacal.uncertainty.tip_error import FIELD_TOLERANCE, natural_scale, seen_space, tip_rms, without_rigid
+from casacal.uncertainty.tip_error import FIELD_TOLERANCE, natural_scale, row_space, tip_rms, without_rigid
 from casacal.values import Array
 
 Kind = Literal["invisible", "rigid", "scale", "blind"]
@@ -37,7 +37,7 @@ MEANING: dict[Kind, str] = {
 
 
 KnownFrom: TypeAlias = Literal["samples", "samples and prior", "prior alone", "held"]
-"""What determined a parameter, in files and tables alike; "held" was not estimated."""
+"""Source of a parameter's value, in files and tables alike; "held" was not estimated."""
 
 WEAK = "better known from the priors than from these samples"
 
@@ -50,7 +50,7 @@ class NullDirection:
     direction: Array
     words: str
     tip_mm: float
-    """What one prior standard deviation along it does to the tip, apart from the position of the base: mm RMS over the
+    """Tip motion by one prior standard deviation along it, apart from rigid motion of the base: mm RMS over the
     workspace."""
     structural: bool
     """Whether it stays null when the parameters move; otherwise only these values of them hide it."""
@@ -64,7 +64,7 @@ class WeakDirection:
     direction: Array
     words: str
     tip_mm: float
-    """What one prior standard deviation along it does to the tip, as for null directions."""
+    """Tip motion by one prior standard deviation along it, as for null directions."""
 
 
 @dataclass(frozen=True)
@@ -100,9 +100,9 @@ def identifiability(problem: LeastSquares, tip_jacobian: Array, tips: Array) -> 
 
     """
     scale, natural = prior_scale(problem), natural_scale(problem)
-    # what takes part is judged by how far it moves things, an angle at a lever of a metre
+    # unknowns are ranked by how far they move things, an angle at a lever of a metre
     lever = np.where(np.array(problem.units) == "rad", LEVER, 1.0)
-    rank, seen = seen_space(problem.compact_jacobian(problem.x0) * natural)
+    rank, space = row_space(problem.compact_jacobian(problem.x0) * natural)
     field = tip_jacobian * scale
     elsewhere = [_null_projector(problem, seed) for seed in range(PERTURBATIONS)]
 
@@ -110,14 +110,14 @@ def identifiability(problem: LeastSquares, tip_jacobian: Array, tips: Array) -> 
         return tip_rms(without_rigid(field @ (direction / np.linalg.norm(direction)), tips))
 
     null = []
-    for kind, basis in split_null_space(seen[rank:].T, tip_jacobian * natural, tips):
+    for kind, basis in split_null_space(space[rank:].T, tip_jacobian * natural, tips):
         for change in sparse_basis(basis).T:
             kept = [float(np.linalg.norm(project @ change) / np.linalg.norm(change)) for project in elsewhere]
             words = f"{_named(change * natural * lever, problem.names)}: {MEANING[kind]}"
             direction = change * natural / scale
             null.append(NullDirection(kind, direction, words, cost(direction), min(kept) > SAME_DIRECTION))
-    beside, _ = np.linalg.qr(np.column_stack([seen[rank:].T * (natural / scale)[:, None], np.eye(problem.unknowns)]))
-    rest = beside[:, problem.unknowns - rank :]  # what the null space leaves
+    whole, _ = np.linalg.qr(np.column_stack([space[rank:].T * (natural / scale)[:, None], np.eye(problem.unknowns)]))
+    rest = whole[:, problem.unknowns - rank :]  # complement of the null space
     _, sizes, within = svd((problem.compact_jacobian(problem.x0) * scale) @ rest)
     right = within @ rest.T
     weak = [
@@ -144,11 +144,11 @@ def correlated_pairs(covariance: Array, names: Sequence[str]) -> list[tuple[str,
 
 
 def _null_projector(problem: LeastSquares, seed: int) -> Array:
-    """Projector (n, n) on the null space, on natural scales, where parameters are off by random errors of that size."""
+    """Projector (n, n) on the null space, in natural units, at parameters off by random errors of those sizes."""
     natural = natural_scale(problem)
     size = np.minimum(prior_scale(problem), natural)
     x = problem.x0 + size * np.random.default_rng(seed).normal(size=problem.unknowns)
-    rank, right = seen_space(problem.compact_jacobian(x) * natural)
+    rank, right = row_space(problem.compact_jacobian(x) * natural)
     return np.asarray(right[rank:].T @ right[rank:])
 
 
@@ -166,8 +166,8 @@ def split_null_space(null: Array, tip_jacobian: Array, tips: Array) -> list[tupl
     rest = bent - np.outer(growth, growth @ bent)
     taken, parts = np.zeros((null.shape[1], 0)), []
     stages: tuple[tuple[Kind, Array], ...] = (("invisible", field), ("rigid", bent), ("scale", rest))
-    for kind, seen in stages:
-        sizes, right = right_directions(seen)
+    for kind, shown in stages:
+        sizes, right = right_directions(shown)
         kernel = right[sizes < size].T
         parts.append((kind, _beyond(kernel, taken)))
         taken = kernel

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtr
 
+from casacal.fit.arm_alone import ArmAlone, ArmProblem
 from casacal.fit.bound_problem import BoundProblem
-from casacal.fit.seen import ArmAlone, Seen
 from casacal.uncertainty.figures import chance_beyond
 from casacal.uncertainty.tip_error import scale_direction
 from casacal.values import Array, Index
@@ -19,7 +19,7 @@ DULL = 1e-3  # part of a prior's variance that samples must take away from a dir
 
 @dataclass(frozen=True)
 class PriorMoves:
-    """How far the arm and its tool moved, all together."""
+    """Joint size of the moves of arm and tool from nominal."""
 
     factor: float
     """Root mean square move over what the priors allow: one where they fit this arm."""
@@ -29,7 +29,7 @@ class PriorMoves:
     """Chance of moves as large as these, where priors and model are right."""
 
 
-def chance_of_move(bound: Seen, x: Array, covariance: Array, own: Index) -> float:
+def chance_of_move(bound: ArmProblem, x: Array, covariance: Array, own: Index) -> float:
     """Chance that some unknowns (k,) move as far as they did: chi-square of x'(P - C)^+ x, P their priors' covariance.
 
     What the samples do not see has not moved and does not count. One where a prior is flat.
@@ -39,13 +39,13 @@ def chance_of_move(bound: Seen, x: Array, covariance: Array, own: Index) -> floa
         return 1.0
     gained, moved = np.eye(own.size) - spread / np.outer(prior, prior), (x - bound.x0)[own] / prior
     values, along = np.linalg.eigh(gained)
-    seen = values > DULL
-    if not seen.any():
+    decided = values > DULL
+    if not decided.any():
         return 1.0
-    return chance_beyond(float((((along[:, seen].T @ moved) ** 2) / values[seen]).sum()), float(seen.sum()))
+    return chance_beyond(float((((along[:, decided].T @ moved) ** 2) / values[decided]).sum()), float(decided.sum()))
 
 
-def prior_moves(bound: Seen, x: Array, covariance: Array) -> PriorMoves:
+def prior_moves(bound: ArmProblem, x: Array, covariance: Array) -> PriorMoves:
     """Moves of all unknowns with a finite prior, but for those that only say where the touched thing stands.
 
     The sum of squares is one of independent normal numbers, weighted with eigenvalues; two moments of it are matched
@@ -53,7 +53,7 @@ def prior_moves(bound: Seen, x: Array, covariance: Array) -> PriorMoves:
     """
     own = np.flatnonzero(np.isfinite(bound.prior_std) & ~bound.datum)
     std, spread = bound.prior_std[own], covariance[np.ix_(own, own)]
-    if not np.isfinite(spread).all():  # what nothing holds drags others along
+    if not np.isfinite(spread).all():  # an unbounded unknown drags others along
         return PriorMoves(0.0, 0.0, 1.0)
     weights = np.clip(np.linalg.eigvalsh(np.eye(own.size) - spread / np.outer(std, std)), 0.0, 1.0)
     total, decided = float((((x - bound.x0)[own] / std) ** 2).sum()), float(weights.sum())
@@ -85,7 +85,7 @@ class PriorScatter:
         return math.sqrt(float(self.sizes @ self.freedoms))
 
     def chance_below(self, rms: float) -> float:
-        """How probable it is that the drawn arm misses the planes by no more than `rms` (mm)."""
+        """Probability that the drawn arm misses the planes by no more than `rms` (mm)."""
         return 1.0 - chance_of_sum(self.sizes, self.freedoms, rms**2)
 
 
@@ -149,7 +149,7 @@ LARGEST = 700.0  # whose exponential is still a number
 
 @dataclass(frozen=True, eq=False)
 class CommonScale:
-    """By what part of one all lengths are too large together, and the chance of so much if nothing scales them.
+    """Common relative error of all lengths, and the chance of so much if nothing scales them.
 
     off: by how much unknowns (s,) are elsewhere for it.
     """
@@ -159,7 +159,7 @@ class CommonScale:
     off: Array
 
 
-def common_scale(bound: Seen, x: Array, covariance: Array) -> CommonScale | None:
+def common_scale(bound: ArmProblem, x: Array, covariance: Array) -> CommonScale | None:
     """The scale that the moves of an estimate x (s,) have in common; None where rows see too little of them.
 
     What rows say of the unknowns, apart from priors, is z ~ N(0, N + t^2 A + B): N its own error, A and B what the
@@ -176,8 +176,8 @@ def common_scale(bound: Seen, x: Array, covariance: Array) -> CommonScale | None
     if not (np.isfinite(spread).all() and np.isfinite(x[own]).all() and growth.any()):
         return None
     left, along = np.linalg.eigh(spread)
-    seen = left < 1 - DULL
-    left, along = np.clip(left[seen], ROUNDING, None), along[:, seen]
+    decided = left < 1 - DULL
+    left, along = np.clip(left[decided], ROUNDING, None), along[:, decided]
     moved, towards = (x - bound.x0)[own] / std, along.T @ growth
     if len(left) < FEWEST or float(np.linalg.norm(towards)) < ROUNDING:
         return None

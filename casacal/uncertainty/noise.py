@@ -1,4 +1,4 @@
-"""Noise as found: what residuals and repeats show on top of the stated noise, and what joints do not repeat."""
+"""Noise estimated from residuals and repeats, as a factor of the stated noise, and joint repeatability."""
 
 from __future__ import annotations
 
@@ -227,7 +227,7 @@ def pure_error(result: Result, again: Repeats) -> PureError | None:
 
 
 EXPECTED = 15e-6
-"""What joints of an industrial arm do not repeat, rad; 15 to 30 urad are usual, some 0.05 mm at the tip."""
+"""Joint repeatability to expect of an industrial arm, rad; 15 to 30 urad are usual, some 0.05 mm at the tip."""
 
 DOUBT = 2.5  # times by which that may well be off
 KNOWN = 1.3  # times by which the rest of the noise may well exceed what was stated, where the joints explain the noise
@@ -245,41 +245,41 @@ SMALLEST = 1e-3  # part of a row's variance that its own residual must hold to b
 MOST_ROWS = 4096  # rows, evenly over all, at which is looked whether more should be tried
 
 
-def joints_err(bound: BoundProblem, x: Array, told: NormalEquations) -> bool:
+def joints_err(bound: BoundProblem, x: Array, equations: NormalEquations) -> bool:
     """Whether rows that see more of the joints may err more than others where a fit stands.
 
     A score test of the variance: squares of what is left, over what is expected of them, against g^2 / noise^2. bound:
-    with effects at their sizes. told: what its rows say at x (n,), where they were linearised.
+    with effects at their sizes. equations: of its rows, linearised at x (n,).
     """
-    held = posterior_covariance(told.information, bound.prior_information)
+    held = posterior_covariance(equations.information, bound.prior_information)
     if not np.isfinite(held).all():  # something that neither rows nor prior hold: what is left of a row is not known
         return False
-    step = held @ told.toward - (x - bound.x0)
+    step = held @ equations.toward - (x - bound.x0)
     count = len(bound.measured)
     few = np.unique(np.linspace(0, count - 1, min(count, MOST_ROWS)).astype(np.intp))
     part = bound if few.size == count else bound.take(few)
     jacobian = part.jacobian(x)
     free = 1.0 - np.einsum("ij,ij->i", jacobian @ held, jacobian)
-    seen = (part.joint_noise / part.noise) ** 2
+    share = (part.joint_noise / part.noise) ** 2
     judged = free > SMALLEST
     if not judged.any():
         return False
     squares = (part.residual(x) + jacobian @ step)[judged] ** 2 / free[judged]
-    apart = seen[judged] - seen[judged].mean()
+    apart = share[judged] - share[judged].mean()
     spread = math.sqrt(2 * float(apart @ apart))
     return spread > 0 and float(apart @ squares) > WORTH_A_LOOK * float(squares.mean()) * spread
 
 
 def with_joints(whole: BoundProblem, found: BoundProblem) -> Iterator[BoundProblem]:
-    """The rows with parts of the noise, as it was found beyond what was stated, put down to the joints."""
-    seen, scale = whole.joint_noise, found.scale
+    """Copies in which parts of the noise found beyond the stated are attributed to the joints."""
+    joint_noise, scale = whole.joint_noise, found.scale
     shared = of_repeats(scale)
     level, own = (float((each.noise**2).mean()) for each in (found, found.with_noise(shared)))
-    if not (level > own and np.isfinite(seen).all() and (seen > 0).any()):
+    if not (level > own and np.isfinite(joint_noise).all() and (joint_noise > 0).any()):
         return
     for part in PARTS:
         joints = part * (level - own)
-        size = math.sqrt(joints / float((seen**2).mean()))
+        size = math.sqrt(joints / float((joint_noise**2).mean()))
         yield whole.with_noise({OTHERS: math.sqrt(max(level - joints, own) / own), REPEATABILITY: size, **shared})
 
 
@@ -289,12 +289,12 @@ def repeats_to(bound: BoundProblem) -> float:
 
 
 def is_usual(bound: BoundProblem, most: float) -> bool:
-    """Whether what joints of any arm do not repeat explains the noise, but for at most some times what was stated."""
+    """Whether a usual joint repeatability explains the noise, with other noise at most `most` times the stated."""
     return 0 < repeats_to(bound) <= EXPECTED * DOUBT and max(by_face(bound.scale).values(), default=1.0) <= most
 
 
 def beforehand(bound: BoundProblem) -> float:
-    """Logarithm of how likely such noise is before any row is seen, against what is expected of it: log-normal."""
+    """Logarithm of the log-normal prior density of such noise, relative to its mode."""
     joints = math.log(repeats_to(bound) / EXPECTED) / math.log(DOUBT)
     rest = math.log(max(by_face(bound.scale).values(), default=1.0)) / math.log(KNOWN)
     return -(joints**2 + rest**2) / 2

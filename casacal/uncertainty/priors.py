@@ -16,7 +16,7 @@ from casacal.fit.bound_problem import BoundProblem
 from casacal.fit.least_squares import Result
 from casacal.model.problem import Problem
 from casacal.model.problem_text import FINEST
-from casacal.uncertainty.evidence import NormalEquations, evidence, told
+from casacal.uncertainty.evidence import NormalEquations, evidence, normal_equations
 from casacal.uncertainty.tip_error import without_rigid, workspace_joints
 from casacal.values import Array, FrozenMapping, Index, Value
 
@@ -114,7 +114,7 @@ class LearnedPriors(Value):
 
 
 def learned_priors(calibrations: Iterable[CalibrationFit]) -> LearnedPriors:
-    """How far arms of a make are from their drawing, as calibrations of some of them show, over what their priors say.
+    """Deviations of arms of one make from their drawing over their priors, learned from calibrations of some of them.
 
     All lengths of the arms have one factor and all angles another: those at which the rows of all arms together are
     likeliest, everything else integrated out (restricted marginal likelihood). One arm says little; its interval says
@@ -126,19 +126,19 @@ def learned_priors(calibrations: Iterable[CalibrationFit]) -> LearnedPriors:
     Raises CasacalError for none, for what is no calibration, and where priors differ, are flat or all held.
 
     """
-    given = list(calibrations) if np.iterable(calibrations) else [calibrations]
-    if not given:
+    fitted = list(calibrations) if np.iterable(calibrations) else [calibrations]
+    if not fitted:
         raise CasacalError("No calibrations came", "Give those of one arm or more")
-    if wrong := [each for each in given if not hasattr(each, "fit")]:
+    if wrong := [each for each in fitted if not hasattr(each, "fit")]:
         said = f"Got {came(wrong[0])} as a calibration"
         raise CasacalError(said, "Give what calibrate returns; files do not hold the rows")
-    arms = [_Arm.of(each.fit, each.result.x) for each in given]
+    arms = [_Arm.of(each.fit, each.result.x) for each in fitted]
     units = sorted(arms[0].units)
     if not units:
         raise CasacalError("The arm has no parameter with a finite prior", "Give priors before scaling them")
     if any(not arms[0].alike(arm) for arm in arms[1:]):
         raise CasacalError("The calibrations are of arms with different priors", "Give those of one problem")
-    if any(one.fit.measured == two.fit.measured for one, two in combinations(given, 2)):
+    if any(one.fit.measured == two.fit.measured for one, two in combinations(fitted, 2)):
         raise CasacalError("Two calibrations are of the same rows", "Give one for each arm")
 
     def unlikely(logs: Array) -> float:
@@ -177,7 +177,7 @@ class _Arm:
         for j in (j for slot in fit.slots if slot.key in keys for j in slot.columns):
             if held[j] > 0:
                 found.setdefault(fit.units[j], []).append(j)
-        return _Arm(fit, told(fit, x), held, {unit: np.array(places) for unit, places in found.items()})
+        return _Arm(fit, normal_equations(fit, x), held, {unit: np.array(places) for unit, places in found.items()})
 
     def scaled(self, times: Mapping[str, float]) -> Array:
         """The prior's information (n,) where it is so many times as wide."""
@@ -194,7 +194,7 @@ class _Arm:
         """Rows relinearised at the fit under that prior."""
         posterior = self.rows.information + np.diag(self.scaled(times))
         x: Array = np.asarray(np.linalg.solve(posterior, self.rows.toward), dtype=np.float64)
-        return replace(self, rows=told(self.fit, x))
+        return replace(self, rows=normal_equations(self.fit, x))
 
     def alike(self, other: _Arm) -> bool:
         """Whether both have the same priors."""

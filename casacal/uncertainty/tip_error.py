@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from casacal.errors import CasacalError
+from casacal.fit.arm_alone import ArmAlone, ArmProblem
 from casacal.fit.least_squares import LeastSquares
-from casacal.fit.seen import ArmAlone, Seen
 from casacal.linalg import posterior_covariance, right_directions, svd
 from casacal.model.robot import Robot, random_joints
 from casacal.values import Array, Index
@@ -82,7 +82,7 @@ def tip_rms(field: Array) -> float:
     return math.sqrt(float((field.reshape(-1, 3) ** 2).sum(axis=1).mean()))
 
 
-def scale_direction(bound: Seen) -> Array:
+def scale_direction(bound: ArmProblem) -> Array:
     """Change of x (n,) when all lengths of arm and tool, and the places of all planes, grow by a part of one."""
     direction = np.zeros(bound.unknowns)
     for _, unit, nominal, j in bound.parameters():
@@ -93,12 +93,12 @@ def scale_direction(bound: Seen) -> Array:
     return direction
 
 
-def conditional_scale_std(bound: Seen) -> float:
+def conditional_scale_std(bound: ArmProblem) -> float:
     """Standard deviation of eps at the nominal when all else is exactly known: 1 / |J g|, g the scale direction."""
     return 1.0 / float(np.linalg.norm(bound.compact_jacobian(bound.x0) @ scale_direction(bound)))
 
 
-def marginal_scale_std(bound: Seen) -> float:
+def marginal_scale_std(bound: ArmProblem) -> float:
     """Standard deviation of eps at the nominal when each other unknown errs by its prior, planes freely.
 
     Generalised least squares of eps as one more unknown without a prior: 1 / var = g'F g - g'F (F + Lambda)^-1 F g,
@@ -121,8 +121,8 @@ FIELD_TOLERANCE = 1e-4
 under usual priors, and above what rank tolerance times condition mixes into null directions."""
 
 
-def seen_space(rows: Array) -> tuple[int, Array]:
-    """Rank of a matrix (m, n), and right singular vectors (n, n; rows) of which the first `rank` span what it sees."""
+def row_space(rows: Array) -> tuple[int, Array]:
+    """Rank of a matrix (m, n), and right singular vectors (n, n; rows) of which the first `rank` span its row space."""
     sizes, right = right_directions(rows)
     return int((sizes > RANK_TOLERANCE * max(float(sizes.max(initial=0.0)), 1e-300)).sum()), right
 
@@ -146,20 +146,20 @@ def spread_rms(covariance: Array, tip_jacobian: Array, tips: Array, off: Array |
 
 
 def classical_bound(jacobian: Array, scale: Array, tip_jacobian: Array, tips: Array) -> tuple[float, int]:
-    """Bound without any prior, H F^+ H', and the number of unobservable directions that move a tip.
+    """Smallest RMS tip error (mm) without a prior, by H F^+ H', and the number of null directions that move a tip.
 
-    Infinite when there is such a direction. Of the whitened Jacobian (rows, n), its columns in units of `scale` (n,).
+    Infinite when there is such a direction. jacobian: whitened (rows, n); its columns are scaled by `scale` (n,).
     """
     sizes, right = right_directions(jacobian * scale)
-    seen = sizes > RANK_TOLERANCE * max(float(sizes.max(initial=0.0)), 1e-300)
+    observable = sizes > RANK_TOLERANCE * max(float(sizes.max(initial=0.0)), 1e-300)
     field = without_rigid(tip_jacobian * scale, tips)
-    lost = svd(field @ right[~seen].T)[1]
+    lost = svd(field @ right[~observable].T)[1]
     blind = int((lost > FIELD_TOLERANCE * max(float(np.linalg.norm(field, axis=0).max(initial=0.0)), 1e-300)).sum())
-    spread = (field @ right[seen].T) / sizes[seen]
+    spread = (field @ right[observable].T) / sizes[observable]
     return (math.inf if blind else math.sqrt(float((spread**2).sum()) / len(tips))), blind
 
 
-def tool_unknowns(bound: Seen, x: Array) -> Index:
+def tool_unknowns(bound: ArmProblem, x: Array) -> Index:
     """Positions in x (n,) of the unknowns that move the tip and hardly, by the weight they shift, the flange."""
     joints = workspace_joints(bound.problem.robot, poses=FEW_POSES)
     tip = np.abs(bound.tip_jacobian(x, joints)).max(axis=0)
@@ -167,7 +167,7 @@ def tool_unknowns(bound: Seen, x: Array) -> Index:
     return np.flatnonzero((tip > BLIND_FIELD) & (flange < OF_THE_FLANGE * tip) & ~bound.datum)
 
 
-def flange_jacobian(bound: Seen, x: Array, joints: Array) -> tuple[Array, Array]:
+def flange_jacobian(bound: ArmProblem, x: Array, joints: Array) -> tuple[Array, Array]:
     """Flange origins (N, 3; mm) at joint values (N, n; rad, mm), and their derivative (3 N, n) by x."""
     if isinstance(bound, ArmAlone):
         return bound.blocks[0].slopes("flange", bound.expand(x), joints, bound.free)
@@ -186,7 +186,7 @@ TRIES = 40_000  # random joint values among which those inside a box are looked 
 FEWEST = 20
 
 
-def planned_accuracy(bound: Seen) -> tuple[float, float]:
+def planned_accuracy(bound: ArmProblem) -> tuple[float, float]:
     """Tip error (mm RMS over the workspace) to expect: from the prior alone, and with these rows.
 
     Apart from where the base stands. At the nominal, so that it can be asked of planned or simulated touches before
@@ -196,7 +196,7 @@ def planned_accuracy(bound: Seen) -> tuple[float, float]:
 
 
 def expected_accuracy(
-    bound: Seen,
+    bound: ArmProblem,
     x: Array,
     off: Array | None = None,
     *,
@@ -220,7 +220,7 @@ def expected_accuracy(
     return before, bayesian_bound(information, bound.prior_information, slopes, tips, off)
 
 
-def classical_accuracy(bound: Seen, x: Array) -> tuple[float, int]:
+def classical_accuracy(bound: ArmProblem, x: Array) -> tuple[float, int]:
     """Tip error (mm RMS) that the rows alone allow at x (n,), without a prior, and how many unseen directions move it.
 
     Infinite when there is such a direction.
@@ -231,7 +231,7 @@ def classical_accuracy(bound: Seen, x: Array) -> tuple[float, int]:
     )
 
 
-def accuracy_in_box(bound: Seen, x: Array, box: Box, off: Array | None = None) -> tuple[float, float]:
+def accuracy_in_box(bound: ArmProblem, x: Array, box: Box, off: Array | None = None) -> tuple[float, float]:
     """Tip error (mm RMS) to expect inside a box at x (n,), and its largest value there.
 
     Both apart from the position of the base; `off` as for `tip_stds`.
@@ -246,7 +246,7 @@ def accuracy_in_box(bound: Seen, x: Array, box: Box, off: Array | None = None) -
     return math.sqrt(float((stds**2).mean())), float(stds.max())
 
 
-def joints_in_box(bound: Seen, x: Array, box: Box) -> Array:
+def joints_in_box(bound: ArmProblem, x: Array, box: Box) -> Array:
     """Random joint values (M, n; rad, mm) at which the tip is inside a box; CasacalError where it hardly gets there."""
     low, high = np.array(box).T
     if not (low < high).all():

@@ -20,7 +20,7 @@ from casacal.data.samples import joined
 from casacal.errors import SamplesError, UnknownNameError
 from casacal.simulation.simulate import simulate_one
 from casacal.simulation.touches import Draw, default_cell
-from casacal.uncertainty.fresh_rows import FreshRows, chances, likelihood, occam, seen_basis
+from casacal.uncertainty.fresh_rows import FreshRows, chances, likelihood, occam, visible_basis
 
 STANDING = ("floor", "wall", "side")
 STOOD = {"adept_cobra600": ("offset",)}
@@ -85,7 +85,7 @@ def test_whitening_and_likelihood_ratios_against_dense_matrices():
     np.testing.assert_allclose(found.whitened(columns).T @ found.whitened(columns), there.T @ inside @ there, rtol=1e-9)
     shift = -np.linalg.solve(there.T @ inside @ there, there.T @ inside @ small)
     left = small + there @ shift
-    basis = seen_basis(found.whitened(columns), np.ones(2))
+    basis = visible_basis(found.whitened(columns), np.ones(2))
     tests = AllTests(found, [basis], row_bases(found, 24, 1), np.inf)
     by_cause, by_row, whole = tests.falls(found.white[None])
     assert by_cause[0, 0] == pytest.approx(small @ inside @ small - left @ inside @ left)
@@ -128,7 +128,7 @@ def test_false_alarms_come_at_the_rate_that_was_asked_for(alarm, noise):
     causes[1] = causes[0] + 0.1 * causes[1]  # tests that nearly agree
     count, alarms = 4000, 0
     first = FreshRows(np.zeros(24), spread, own)
-    bases = [seen_basis(first.whitened(each), np.ones(each.shape[1])) for each in causes]
+    bases = [visible_basis(first.whitened(each), np.ones(each.shape[1])) for each in causes]
     tests = AllTests(first, bases, row_bases(first, 24, 1), noise)
     level = tests.level(alarm, seed=7)
     size = np.sqrt(rng.chisquare(noise, count) / noise) if np.isfinite(noise) else np.ones(count)

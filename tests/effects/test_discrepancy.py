@@ -16,9 +16,9 @@ from casacal.cli.main import main
 from casacal.deployment.result_file import sealed
 from casacal.effects import Backlash, Effect, FaceForm, JointField, ThermalGrowth, TransmissionError, kit, with_kit
 from casacal.effects.effect import weighted
+from casacal.fit.arm_alone import arm_alone, moving
 from casacal.fit.least_squares import LeastSquares
-from casacal.fit.seen import moving, seen
-from casacal.uncertainty.evidence import _objective, effect_sizes, told
+from casacal.uncertainty.evidence import _objective, effect_sizes, normal_equations
 from casacal.uncertainty.tip_error import tip_rms, tip_stds, without_rigid, workspace_joints
 
 ROOT = Path(__file__).parent.parent.parent
@@ -190,7 +190,7 @@ def test_effects_taken_out_leave_the_information_of_the_dense_formula(hsr, clean
     effects = np.array([bool(key) for key in bound.beside])
     moves = {effect.key for effect in bound.problem.terms if effect.moves}
     moving_too = np.array([key in moves for key in bound.beside])
-    for view, out in ((seen(bound, bound.x0)[0], effects), (moving(bound, bound.x0)[0], effects & ~moving_too)):
+    for view, out in ((arm_alone(bound, bound.x0)[0], effects), (moving(bound, bound.x0)[0], effects & ~moving_too)):
         b = j[:, out] * bound.prior_std[out]
         dense = j[:, ~out].T @ np.linalg.inv(np.eye(len(j)) + b @ b.T) @ j[:, ~out]
         np.testing.assert_allclose(view.information(view.x0), dense, rtol=1e-6, atol=1e-9 * np.abs(dense).max())
@@ -200,7 +200,7 @@ def test_the_likelihood_of_sizes_is_that_of_the_dense_covariance(hsr, clean):
     """Restricted: flat unknowns projected out of a covariance N x N. Differences, for constants have no meaning."""
     bound = bind(with_kit(hsr.problem), clean)
     x = lm(bound).x
-    rows, j, r = told(bound, x), bound.jacobian(x), bound.residual(x)
+    rows, j, r = normal_equations(bound, x), bound.jacobian(x), bound.residual(x)
     y = j @ x - r
     keys = [key for key in dict.fromkeys(bound.beside) if key]
     groups = [np.flatnonzero(np.array(bound.beside) == key) for key in keys]

@@ -8,12 +8,12 @@ import pytest
 from casacal import bind
 from casacal.data.samples import joined
 from casacal.effects import with_kit
+from casacal.fit.arm_alone import ArmAlone
 from casacal.fit.controls import scipy_least_squares
 from casacal.fit.filters import ekf, sckf_lm
 from casacal.fit.ipopt import ipopt
 from casacal.fit.least_squares import Conditioned, Gaussian
 from casacal.fit.lm import lm
-from casacal.fit.seen import ArmAlone
 
 
 @pytest.fixture(scope="module")

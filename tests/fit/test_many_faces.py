@@ -12,8 +12,8 @@ from casacal.calibration.check import _few_of_each_face
 from casacal.calibration.verdict import verdict_of
 from casacal.effects.selection import with_effects
 from casacal.errors import ProblemError
+from casacal.fit.arm_alone import arm_alone
 from casacal.fit.ipopt import Objective
-from casacal.fit.seen import seen
 from casacal.linalg import determined
 from casacal.planning.cures import cures
 from casacal.uncertainty.figures import leverages, noise_interval
@@ -130,7 +130,7 @@ def test_declared_effects_are_taken_out_with_their_own_priors(hsr, samples):
     effects = [each for each in kit() if not isinstance(each, (GearRipple, GravitySag))]
     bound = bind(hsr.problem.with_terms(*effects), samples)
     x = 0.1 * bound.start_std
-    found = seen(bound, x)[0]
+    found = arm_alone(bound, x)[0]
     kept = found.free
     out = np.setdiff1d(np.arange(x.size), kept)
     scale = bound.start_std

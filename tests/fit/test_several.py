@@ -31,7 +31,7 @@ from casacal import (
 )
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
-from casacal.deployment.arm import covariance_of, seen_by
+from casacal.deployment.arm import covariance_of, for_instrument
 from casacal.deployment.as_data import problem_data, problem_from
 from casacal.deployment.predict import predict
 from casacal.deployment.remark import remark
@@ -432,7 +432,7 @@ def test_each_instrument_has_its_own_tip_in_whatever_order(order, simulated):
     found = calibrate(other, {name: sets[name] for name in order}, reference=False, discrepancy="none")
     joints = sets["tracker"].joints[:5]
     for i, name in enumerate(order):
-        arm = seen_by(found.arm, name)
+        arm = for_instrument(found.arm, name)
         tips = predict(arm, joints, frame="tip").positions
         np.testing.assert_allclose(tips, found.fit.tips(found.result.x, joints, i), atol=1e-6)
         _, columns = covariance_of(arm)
@@ -505,7 +505,7 @@ def test_advice_can_be_typed(simulated, found):
     assert "expect a tip error (dial) of" in verdict_of(found).words
     with pytest.raises(CasacalError, match=r"There is no file 'nowhere\.csv' of fresh rows"):
         verify(found, "nowhere.csv")
-    assert "not known" in " ".join(remark(seen_by(found.arm, "tracker"))), "the figure is of the dial's tip"
+    assert "not known" in " ".join(remark(for_instrument(found.arm, "tracker"))), "the figure is of the dial's tip"
 
 
 def test_what_is_shared_is_true_of_all_that_share_it():
@@ -539,7 +539,7 @@ def test_covariances_are_those_of_an_instruments_own_unknowns(found):
     """With effects beside the geometry, whose covariance names its rows: arm, tip and, of the tracker, station."""
     whole = found.unjudged.covariance
     for name, own in (("dial", ""), ("tracker", "tracker."), ("spike", "")):
-        covariance, columns = covariance_of(seen_by(found.arm, name))
+        covariance, columns = covariance_of(for_instrument(found.arm, name))
         names = list(found.seen.names)
         assert len(columns) == (33 if name == "tracker" else 27)
         tool = [names.index(f"{own}tool_{axis}") for axis in "xyz"]

@@ -256,10 +256,10 @@ def fresh(tmp_path, monkeypatch):
     """An empty cache, and no memory of compilers or notices."""
     monkeypatch.setenv("CASACAL_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "user"))
-    libraries._asked.cache_clear()
+    libraries._find_compiler.cache_clear()
     backends._notice.cache_clear()
     yield tmp_path / "cache"
-    libraries._asked.cache_clear()
+    libraries._find_compiler.cache_clear()
     backends._notice.cache_clear()
 
 

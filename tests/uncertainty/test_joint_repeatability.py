@@ -18,7 +18,7 @@ from casacal.errors import ProblemError
 from casacal.fit.bound_problem import OTHERS, REPEATABILITY, times
 from casacal.fit.lm import lm
 from casacal.linalg import posterior_covariance
-from casacal.uncertainty.evidence import told
+from casacal.uncertainty.evidence import normal_equations
 from casacal.uncertainty.noise import joints_err
 from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 
@@ -141,7 +141,7 @@ def test_rows_that_see_more_of_the_joints_err_more(hsr):
         for _ in range(60):
             x = rng.normal(size=bound.unknowns) * np.where(np.isfinite(bound.prior_std), bound.prior_std, 0.0)
             drawn = _Drawn(bound, rows, rows @ -x + noise * rng.normal(size=len(rows)))
-            count += joints_err(drawn, bound.x0, told(drawn, bound.x0))
+            count += joints_err(drawn, bound.x0, normal_equations(drawn, bound.x0))
         alarms.append(count / 60)
     assert alarms[0] < 0.35
     assert alarms[1] > 0.8
@@ -176,7 +176,7 @@ def test_it_is_taken_where_the_dense_likelihood_is_greater(hsr):
     ends = {OTHERS: 1.0, REPEATABILITY: 18e-6}, {OTHERS: 2.3}
     whole = [linear.ways[0][0].with_noise(scale) for scale in ends]
     logs = [_dense(each, linear.x) for each in whole]
-    found = [linear._likeliest(each, told(each, linear.x), None) for each in whole]
+    found = [linear._likeliest(each, normal_equations(each, linear.x), None) for each in whole]
     sized = [_dense(each.rows, linear.x) + _hyper(each) for each in found]
     assert found[0].evidence - found[1].evidence == pytest.approx(sized[0] - sized[1], abs=1e-4)
     assert all(after >= before for after, before in zip(sized, logs, strict=True))

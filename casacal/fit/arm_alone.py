@@ -1,4 +1,4 @@
-"""A bound problem in the unknowns of arm and touches alone, or of faces held out of a fit: others taken out."""
+"""A bound problem whose nuisance unknowns (those of effects) are marginalised, and its extension to new labels."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from casacal.values import Array
 
 
 class ArmAlone(Conditioned):
-    """The unknowns (s,) of a bound problem's geometry, and of terms beside it none, or those that move the tip.
+    """A bound problem in the unknowns (s,) of its geometry; those of terms are marginalised at `at` (n,).
 
-    The others stand at a given x and move freely with these. With `motion`, terms that move the tip are among them.
+    With `motion`, unknowns of terms that move the tip are kept too.
     """
 
     whole: BoundProblem
@@ -53,11 +53,11 @@ class ArmAlone(Conditioned):
         return self.whole.tip_jacobian(self.expand(x), joints, instrument, self.free, usual=usual)
 
 
-Seen: TypeAlias = BoundProblem | ArmAlone
-"""What figures of the arm are worked out from."""
+ArmProblem: TypeAlias = BoundProblem | ArmAlone
+"""A problem from which figures of the arm are computed, with or without marginalised unknowns."""
 
 
-def seen(bound: BoundProblem, x: Array, *, motion: bool = False) -> tuple[Seen, Array]:
+def arm_alone(bound: BoundProblem, x: Array, *, motion: bool = False) -> tuple[ArmProblem, Array]:
     """Problem with nuisance unknowns marginalised at x (n,), and its part of x; both unchanged where there are none."""
     if not any(bound.beside):
         return bound, x
@@ -65,22 +65,22 @@ def seen(bound: BoundProblem, x: Array, *, motion: bool = False) -> tuple[Seen, 
     return found, x[found.free]
 
 
-def moving(bound: BoundProblem, x: Array) -> tuple[Seen, Array]:
-    """All that moves the tip at x (n,), geometry and terms beside it, and the part of x that it has."""
-    return seen(bound, x, motion=True)
+def moving(bound: BoundProblem, x: Array) -> tuple[ArmProblem, Array]:
+    """Problem in all unknowns that move the tip, those of terms too, others marginalised at x (n,); its part of x."""
+    return arm_alone(bound, x, motion=True)
 
 
 def bind_further(bound: BoundProblem, *samples: Samples) -> BoundProblem:
-    """Bind the same unknowns to other rows, and after them those of labels that are new; one set per instrument.
+    """Bind the same unknowns, followed by those of new labels, to other rows; one set of samples per instrument.
 
     Raises ProblemError as `bind` does.
     """
-    seen = {slot.name: slot.nominal for slot in bound.slots}
+    nominals = {slot.name: slot.nominal for slot in bound.slots}
     slots = list(bound.slots)
-    for slot in make_slots(bound.problem, samples, seen):
-        if slot.name not in seen:
+    for slot in make_slots(bound.problem, samples, nominals):
+        if slot.name not in nominals:
             slots.append(replace(slot, first=slots[-1].first + slots[-1].unknown.size))
-    if len(slots) == len(seen):
+    if len(slots) == len(nominals):
         return bound.on(*samples)
     return BoundProblem(
         bound.problem, slots, samples, bound.backend, scale=bound.scale, surveys=bound.surveys, known=bound.known
@@ -88,7 +88,7 @@ def bind_further(bound: BoundProblem, *samples: Samples) -> BoundProblem:
 
 
 def extended(further: BoundProblem, x: Array) -> Array:
-    """All unknowns (n + k,) of such rows at x (n,): those of new labels are fitted to their rows, nothing else is."""
+    """x (n,) extended to the unknowns (n + k,) of `further`: those of new labels are fitted, the others held."""
     new = np.arange(further.unknowns) >= x.size
     if not new.any():
         return x
