@@ -43,6 +43,8 @@ def moved(earlier: str, home: str) -> Callable[[str], Any]:
     """`__getattr__` of an earlier module: the name from its new home, with a DeprecationWarning; for one version."""
 
     def found(name: str) -> Any:
+        if name == "__all__":  # what `from earlier import *` takes
+            return [each for each in vars(import_module(home)) if not each.startswith("_")]
         if name.startswith("__"):
             raise AttributeError(name)
         message = f"{earlier} is now {home}: take '{name}' from there"

@@ -8,6 +8,7 @@ import pytest
 from test_architecture import EARLIER
 
 import casacal
+from casacal.model import kinematics
 
 
 @pytest.mark.parametrize(
@@ -24,6 +25,15 @@ def test_an_earlier_name_works_and_says_where_it_went(earlier, name, home):
         module.__no_such_thing__  # noqa: B018
     with pytest.warns(DeprecationWarning, match="is now"), pytest.raises(AttributeError, match="no_such_thing"):
         module.no_such_thing  # noqa: B018
+
+
+def test_all_earlier_names_are_taken_at_once():
+    """`from casacal.kinematics import *`, as first problems were written."""
+    taken = {}
+    with pytest.warns(DeprecationWarning, match="casacal.kinematics is now casacal.model.kinematics"):
+        exec("from casacal.kinematics import *", taken)
+    for name in ("rotate_x", "translate", "position", "chain"):
+        assert taken[name] is getattr(kinematics, name)
 
 
 @pytest.mark.parametrize(

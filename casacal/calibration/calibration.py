@@ -14,11 +14,13 @@ import numpy as np
 from casacal.calibration.before_fit import labels_alike, outside, repeated, rounded, sign_before_fit
 from casacal.calibration.finding import Finding
 from casacal.calibration.inputs import Reference
+from casacal.calibration.mirror import mirror_image
 from casacal.calibration.motion import Motion, Tried, among, used_arm
 from casacal.calibration.numbers import not_the_same, tool_elsewhere_at, wrong_number, wrong_scale
 from casacal.calibration.sensitivity import Sensitivity, sensitivity
 from casacal.data.repeats import copies_of
 from casacal.data.samples import Measurements, Samples
+from casacal.deployment.result import MirrorImage
 from casacal.effects.selection import (
     DialError,
     EffectSize,
@@ -213,6 +215,13 @@ class Calibration(Value):
         """Lines of the rows that were set aside; with the instrument's name where there are several."""
         lines = sorted({(found.instrument, line) for found in self.aside for line in found.lines})
         return tuple(f"{name} {line}" if name else line for name, line in lines)
+
+    @cached_property
+    def mirror_image(self) -> MirrorImage | None:
+        """Conventions that would reflect the arm and fit as well; None where nobody has to ask, or it was settled."""
+        if self.earlier is not None:
+            return self.earlier.mirror_image
+        return None if self.source.confirmed else mirror_image(self.fit)
 
     @cached_property
     def noise(self) -> Noise:

@@ -25,6 +25,7 @@ from casacal.calibration.before_fit import (
 )
 from casacal.calibration.faults import ALIKE, EXPLAINED, SUSPICIOUS, MisfitCause, explained, flips
 from casacal.calibration.finding import Finding, misfit, quick_fit
+from casacal.calibration.mirror import mirror_image
 from casacal.calibration.numbers import (
     not_the_same,
     tool_elsewhere_at,
@@ -133,8 +134,11 @@ OF_TWO = 3.0
 ORDER = {"error": 0, "warning": 1, "remark": 2}
 
 
-def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, ...]:
+def check(problem: Problem, samples: Samples | Measurements, *, confirmed: bool = False) -> tuple[Finding, ...]:
     """Findings on samples, worst first: errors, weaknesses, and remarks.
+
+    confirmed: whether poses off the pendant confirmed the joint conventions (`ProblemFile.confirmed`), so that a mirror
+    image of the arm need not be mentioned.
 
     Of several instruments each is looked at by itself, and then whether all agree about one arm.
 
@@ -183,6 +187,8 @@ def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, .
     findings += [*_invisible_flips(problem, few, base), *_rows(bind(problem, good))]
     if all(finding.severity != "error" for finding in findings):
         findings += effect_findings(problem, few)
+        if not confirmed and (image := mirror_image(bind(problem, good))) is not None:
+            findings.append(Finding("remark", "mirror image", *image.cause_and_fix))
     return _in_order(findings)
 
 

@@ -16,7 +16,7 @@ from casacal.calibration.motion import Tried
 from casacal.calibration.saved import AsArm, arm_from
 from casacal.data.samples import Samples
 from casacal.deployment.arm import CalibratedArm
-from casacal.deployment.result import Verdict
+from casacal.deployment.result import MirrorImage, Verdict
 from casacal.effects.effect import effects_of
 from casacal.effects.selection import in_sample_gains
 from casacal.errors import CasacalError, RefusedResultError
@@ -36,6 +36,7 @@ class EarlierResult(Value):
     freedom of the noise that it found, infinite where it was stated. standing: what had not moved since. loosened: what
     may have, by name: its standard deviation, None for anywhere. corrected: keys of the effects that it corrects.
     fitted_rows: those that it was calibrated from. left_out: lines of rows among them that came again.
+    mirror_image: that it could not exclude.
     """
 
     file: str
@@ -48,6 +49,7 @@ class EarlierResult(Value):
     corrected: tuple[str, ...]
     fitted_rows: Mapping[str, Any] | None
     left_out: tuple[int, ...]
+    mirror_image: MirrorImage | None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "loosened", FrozenMapping(self.loosened))
@@ -159,6 +161,7 @@ def earlier(
             arm.corrected,
             found.data.fitted_rows,
             opened.fitted,
+            found.mirror_image,
         ),
     )
 

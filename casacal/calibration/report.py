@@ -290,6 +290,7 @@ def report_page(
         "unknowns": f"{calibration.fit.unknowns:,}",
         "look": LOOKS[verdict.level],
         "verdict_lines": verdict_lines(calibration, verdict),
+        "image": "" if denied or calibration.mirror_image is None else calibration.mirror_image.words,
         "figures": _figures(calibration),
         "measured": [measured(touches, planes) for touches in each],
         "residuals": tables.residuals(calibration),

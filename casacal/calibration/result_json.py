@@ -83,6 +83,7 @@ def found_part(
         },
         **parts.earlier_part(calibration, folder),
         "cost": result.cost,
+        "mirror_image": None if denied or (image := calibration.mirror_image) is None else asdict(image),
         "parameters": parts.parameter_rows(calibration),
         **parts.geometry(fit, calibration.unjudged.used_x),
         "tip": None if denied else _tip(calibration),

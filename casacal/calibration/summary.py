@@ -134,7 +134,8 @@ def brief(
     head = [_subject(calibration), *verdict_lines(calibration, verdict)]
     tail = [] if denied else [*expected, _residual(calibration)]
     stated = verdict.words.lower()
-    others = [reason for reason in verdict.reasons if reason.lower() not in stated]
+    image = [] if denied or calibration.mirror_image is None else [calibration.mirror_image.words]
+    others = [*image, *(reason for reason in verdict.reasons if reason.lower() not in stated)]
     above = _wrapped(head, width)
     cure = "" if denied else best_cure(calibration)
     first = verdict.level == "calibrated" and cure  # a doubt is settled first
@@ -224,9 +225,11 @@ def summary(calibration: Calibration, name: str) -> str:
     """Plain text of many lines; figures of accuracy are left out when the verdict denies them."""
     verdict = verdict_of(calibration)
     denied = verdict.level == "do not use"
+    image = [] if denied or calibration.mirror_image is None else [calibration.mirror_image.words]
+    reasons = (f"- {reason}" for reason in [*image, *verdict.reasons])
     parts = [
         _opening(calibration, name),
-        "\n".join([*verdict_lines(calibration, verdict), *(f"- {reason}" for reason in verdict.reasons)]),
+        "\n".join([*verdict_lines(calibration, verdict), *reasons]),
         tables.residuals(calibration).text(),
         _left_out(calibration),
         "" if denied else _accuracy(calibration),

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 
 from casacal.calibration.calibration import FAR, LACK_OF_FIT, Calibration, more_than_stated
@@ -14,6 +15,7 @@ from casacal.calibration.motion import tip_extremes
 from casacal.calibration.numbers import SCALE, without_its_likes
 from casacal.deployment.result import Verdict
 from casacal.effects.selection import at_most, errors_are_shared
+from casacal.fit.bound_problem import BoundProblem
 from casacal.fit.methods import minimises
 from casacal.uncertainty.moves import prior_scatter
 from casacal.uncertainty.noise import is_usual, repeats_to
@@ -299,6 +301,9 @@ FARTHEST = 1e5  # mm or rad beyond which a number of an arm wandered off; result
 TOO_LOOSE = 1e-3
 """Chance below which a drawn arm that misses so little contradicts its priors, and these must not decide."""
 
+USELESS = 10.0  # mm; an arm as drawn errs by less, so a tip that is known no better is not calibrated
+LITTLE_TURNED = 20.0  # degrees between postures below which a tool is hardly seen
+
 MEMBER = 1e-3
 """Part of a direction's length above which a parameter takes part in it."""
 
@@ -375,7 +380,33 @@ def _against(calibration: Calibration) -> list[tuple[str, str]]:
     if calibration.result.converged and not math.isfinite(calibration.tip_std[1]):
         clause = "these samples do not bound the tip error"
         found.append((clause, "Neither the samples nor a prior determine every direction that moves the tip."))
+    elif calibration.result.converged and not found and calibration.tip_std[1] > USELESS:
+        found.append(_unknown_tip(calibration))
     return found
+
+
+def _unknown_tip(calibration: Calibration) -> tuple[str, str]:
+    """Reason of a tip that is known no better than any arm as drawn: what is loose, and how far postures turn it."""
+    fit, covariance = calibration.fit, calibration.covariance
+    stds = {
+        name: math.sqrt(covariance[j, j]) for name, unit, _, j in fit.parameters() if j is not None and unit == "mm"
+    }
+    loose = sorted((name for name in stds if stds[name] > USELESS / 2), key=lambda name: -stds[name])
+    clause = f"the tip would err by {mm(calibration.tip_std[1])}, more than an arm as drawn"
+    turned = math.degrees(most_turned(fit))
+    why = f" These postures turn the tool by at most {turned:.2g} degrees." if turned < LITTLE_TURNED else ""
+    which = f"The samples hardly show {listed(loose)}" if loose else "The samples show too little of the arm"
+    return clause, f"{which}.{why} Add postures that turn the tool far about two axes, or state priors."
+
+
+def most_turned(fit: BoundProblem) -> float:
+    """Largest angle (rad) between the drawn arm's flange in the first row and in any other."""
+    robot = fit.problem.robot
+    q = ca.SX.sym("q", len(robot.axes))
+    turn = ca.Function("turn", [q], [robot.traced.at_drawn(q)[:3, :3]])
+    turns = np.array([np.array(turn(row)) for some in fit.measured.sets for row in some.joints])
+    cosines = (np.einsum("ij,kij->k", turns[0], turns) - 1) / 2
+    return float(np.arccos(np.clip(cosines, -1.0, 1.0)).max())
 
 
 def wrong_with_samples(calibration: Calibration) -> tuple[Finding, ...]:

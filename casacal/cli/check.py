@@ -28,7 +28,7 @@ def run(options: argparse.Namespace) -> int:
 
     source = load_problem(options.problem)
     samples = read_samples(source, options, absurd=True)
-    findings = check(adjusted(source.problem, options), samples)
+    findings = check(adjusted(source.problem, options), samples, confirmed=source.confirmed)
     counts = {word: sum(f.severity == word for f in findings) for word in ("error", "warning", "remark")}
     data = {"file": samples.file, "sha256": samples.sha256, "samples": len(samples)}
     found = {"problem": source.name, "data": data, "counts": counts, "findings": [asdict(f) for f in findings]}

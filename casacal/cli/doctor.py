@@ -30,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--tool POSE", "tool frame of the pendant, relative to the flange; default: the flange")
     add(parser, "--base POSE", "pose of the robot's base in the pendant's user frame; default: the same frame")
     add(parser, "--tolerance MM", "largest allowed error of a row, in mm and mrad; default: 3", kind=float, default=3.0)
+    add(parser, "--keep", "if certain and nothing is to change, note it beside problem.py, so that nobody asks again")
     add(parser, *JSON)
     parser.epilog = (
         "POSE is X,Y,Z in mm, or X,Y,Z,QW,QX,QY,QZ. The doctor looks at poses; casacal check looks at samples."
@@ -41,14 +42,24 @@ def run(options: argparse.Namespace) -> int:
     from casacal.doctor.diagnosis import diagnose
     from casacal.doctor.pendant_rows import read_pendant_rows
     from casacal.doctor.words import diagnosis_text
-    from casacal.model.problem_file import load_problem
+    from casacal.model.joints import Conventions
+    from casacal.model.problem_file import keep_conventions, load_problem
 
-    robot = load_problem(options.problem).problem.robot
+    source = load_problem(options.problem)
+    robot = source.problem.robot
     rows = read_pendant_rows(options.poses, robot.revolute.tolist())
     base, tool = _pose("--base", options.base), _pose("--tool", options.tool)
     found = diagnose(robot, rows, base=base, tool=tool, tolerance=options.tolerance)
+    kept = None
+    if options.keep:
+        if not found.certain or found.meanings[0].simplest != Conventions.plain(len(robot.axes)):
+            what = "the answer is not certain" if not found.certain else "the conventions differ from the problem's"
+            raise CasacalError(f"Nothing is kept: {what}", "Run it without --keep to see what to do")
+        kept = keep_conventions(source, file=str(options.poses), poses=found.postures)
     if not options.json:
         say(diagnosis_text(found, robot.axes).rstrip("\n"))
+        if kept is not None:
+            say(f"Kept: {kept.as_posix()}; calibrate and check no longer ask whether joints are counted the other way")
         return DONE if found.certain else FAILED
     meanings = [
         {
@@ -73,6 +84,7 @@ def run(options: argparse.Namespace) -> int:
             "odd_lines": found.odd_lines,
             "convention": found.convention,
             "slips": [asdict(slip) for slip in found.slips],
+            "kept": None if kept is None else kept.as_posix(),
         }
     )
     return DONE if found.certain else FAILED

@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> int:
     nominal = options.nominal
     prediction = predict(result, joints, frame=options.frame, nominal=nominal, std=options.std, force=options.force)
     said = [] if nominal else column_notes(result, prediction.missing, prediction.beyond)
-    care = [] if result.caution is None else [result.caution]
+    care = [] if nominal else [words for words in (result.caution, result.mirror_words) if words is not None]
     write_prediction(
         options.out, prediction, ["Of the arm as drawn, not as calibrated."] if nominal else [*care, *said]
     )
@@ -49,8 +49,9 @@ def run(options: argparse.Namespace) -> int:
             f"warning: the calibration saw no session {listed(prediction.unseen)}, so where the dial's zero then "
             "stood is known by its prior alone (--std shows it)"
         )
-    if (words := result.denial or result.caution) is not None and not nominal:
-        said.append(words)
+    if result.denial is not None and not nominal:
+        said.append(result.denial)
+    said += care
     found = {
         "unseen": list(prediction.unseen),
         "missing": {words: list(names) for words, names in prediction.missing.items()},

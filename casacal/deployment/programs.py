@@ -138,6 +138,8 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
         lines.append(f"WARNING, forced against the verdict: {denial}")
     if (care := result.caution) is not None:
         lines.append(f"the result's verdict: {care}")
+    if (image := result.mirror_words) is not None and targets.poses is not None:
+        lines.append(image)
     if reached.any():
         lines += [
             f"round trip: at these joint values the calibrated {compensation.frame} misses the nominal poses by "

@@ -47,6 +47,8 @@ def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
     if (care := result.caution) is not None:
         level = f"{care.partition(':')[0]}; its words and its figure are those of the corrected arm"
         lines.append(f"{MARK}the result's verdict: {level if alone else care}")
+    if (image := result.mirror_words) is not None:
+        lines.append(f"{MARK}{image}")
     known = f"{error:.3f} mm RMS over the workspace, apart from the position of the base"
     shown = "not known" if math.isnan(error) else known
     return [

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from casacal.values import Array, FrozenMapping, Value, read_only
+from casacal.wording import listed, sentence
 
 Level = Literal["calibrated", "use with care", "do not use"]
 
@@ -38,6 +39,43 @@ class ParameterFound(Value):
     def change(self) -> float:
         """Estimate less nominal."""
         return self.estimate - self.nominal
+
+
+@dataclass(frozen=True)
+class MirrorImage:
+    """Other joint conventions that explain the rows as well, and make of the arm its mirror image.
+
+    reversed: joints (from 1) that count the other way. half_turned: joints that begin half a turn off. off_mm: RMS
+    distance of the tips from where they are taken to be, over the workspace, after the best rigid motion.
+    """
+
+    reversed: tuple[int, ...]
+    half_turned: tuple[int, ...]
+    off_mm: float
+
+    @property
+    def conventions(self) -> str:
+        """The conventions in words: "joints 1, 4 and 6 counted the other way"."""
+        halves = f" and {_joints(self.half_turned)} half a turn off" if self.half_turned else ""
+        return f"{_joints(self.reversed)} counted the other way{halves}"
+
+    @property
+    def cause_and_fix(self) -> tuple[str, str]:
+        """What is open and what it would mean, and what settles it."""
+        cause = (
+            f"with {self.conventions} the samples fit as well: Cartesian positions would be mirrored, "
+            f"{self.off_mm:.0f} mm off, and corrected joint targets right"
+        )
+        return cause, "Four poses off the pendant settle it: casacal doctor PROBLEM POSES --keep"
+
+    @property
+    def words(self) -> str:
+        """Both as sentences."""
+        return " ".join(map(sentence, self.cause_and_fix))
+
+
+def _joints(numbers: Sequence[int]) -> str:
+    return f"joint{'s' if len(numbers) > 1 else ''} {listed([str(number) for number in numbers])}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +183,7 @@ class CalibrationResult(Value):
     effects: EffectsFound
     data: FittedData
     cost: float = math.nan
+    mirror_image: MirrorImage | None = None
 
     def values(self, *, alone: bool) -> dict[str, float]:
         """Deviations of all unknowns of geometry and instrument, by name; `alone`: where no effect is corrected."""
@@ -194,7 +233,14 @@ def result_of(document: Mapping[str, Any]) -> CalibrationResult:
         effects=_effects(document.get("discrepancy") or {}),
         data=_data(document.get("data") or {}),
         cost=_number(document.get("cost")),
+        mirror_image=_mirror_image(document.get("mirror_image")),
     )
+
+
+def _mirror_image(part: Mapping[str, Any] | None) -> MirrorImage | None:
+    if part is None:
+        return None
+    return MirrorImage(tuple(part["reversed"]), tuple(part["half_turned"]), float(part["off_mm"]))
 
 
 def _noise(part: Mapping[str, Any]) -> NoiseFound:

@@ -1,4 +1,4 @@
-"""A bound problem whose nuisance unknowns (those of effects) are marginalised, and its extension to new labels."""
+"""A bound problem with faces, stations and terms that move no tip marginalised, and its extension to new labels."""
 
 from __future__ import annotations
 

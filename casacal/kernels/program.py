@@ -56,6 +56,9 @@ def operations_of(function: ca.Function) -> tuple[list[Operation], list[list[int
         if op == ca.OP_OUTPUT:
             results[written[0]][written[1]] = work[read[0]]
             continue
+        if op == ca.OP_CALL:  # a rootfinder, an interpolant or a callback
+            what = f"'{function.name()}' calls another function, such as a rootfinder, an interpolant or a Callback"
+            raise ProblemError(what, "Write what it computes in CasADi's elementary operations, such as sin and sqrt")
         if op == ca.OP_CONST:
             operations.append(Operation(op, constant=float(function.instruction_constant(k))))
         elif op == ca.OP_INPUT:

@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from casacal.errors import CasacalError, ProblemError, came, said
-from casacal.model.problem import Problem
-from casacal.user_code import IMPORTED, line_of, run_file
-from casacal.values import Value
+import casadi as ca
+import numpy as np
 
+from casacal.errors import CasacalError, ProblemError, came, said
+from casacal.files import MADE, json_text, write_text
+from casacal.model.problem import Problem
+from casacal.model.robot import Robot, random_joints
+from casacal.user_code import IMPORTED, line_of, run_file
+from casacal.values import Array, Value
+
+CONVENTIONS = "conventions.json"  # beside problem.py: that the pendant's poses confirm its joint conventions
+SAME_ARM = 0.05  # of its reach; corrected lengths move an arm less, other signs or offsets more
 LARGEST_KEPT = 2_000_000  # bytes beyond which the text of a file is not kept with its hash
 
 
@@ -65,6 +74,25 @@ class ProblemFile(Value):
         """The samples file beside it, of the first of several instruments; None for a problem made in memory."""
         return self.samples_of(0)
 
+    @cached_property
+    def confirmed(self) -> bool:
+        """Whether poses off the pendant confirmed the joint conventions of this arm, and `keep_conventions` wrote it.
+
+        A file of another arm counts for nothing: one whose places differ by a twentieth of its reach.
+        Raises ProblemError for one that cannot be read.
+        """
+        file = Path(self.path).parent / CONVENTIONS
+        if not self.path or not file.is_file():
+            return False
+        try:
+            kept = json.loads(file.read_text(encoding="utf-8"))
+            joints, places = (np.array(kept[key], dtype=np.float64) for key in ("joints", "flange_mm"))
+            now = drawn_places(self.problem.robot, joints.reshape(-1, len(self.problem.robot.axes)))
+            return bool(np.abs(places - now).max() <= SAME_ARM * np.abs(now).max())
+        except (OSError, ValueError, KeyError, TypeError):
+            fix = "Delete it, and run casacal doctor with --keep again"
+            raise ProblemError(f"{file} is not what casacal doctor keeps", fix) from None
+
     def samples_of(self, instrument: int) -> Path | None:
         """The samples file of one instrument beside it: samples.csv, or samples-dial.csv where there are several."""
         if not self.path:
@@ -72,6 +100,29 @@ class ProblemFile(Value):
         several = len(self.problem.instruments) > 1
         name = f"samples-{self.problem.names[instrument]}.csv" if several else "samples.csv"
         return Path(self.path).parent / name
+
+
+def drawn_places(robot: Robot, joints: Array) -> Array:
+    """Origins (N, 3; mm) of the drawn arm's flange at joint values (N, n; rad, mm)."""
+    q = ca.SX.sym("q", len(robot.axes))
+    place = ca.Function("place", [q], [robot.traced.at_drawn(q)[:3, 3]])
+    return np.array([np.array(place(row)).ravel() for row in joints])
+
+
+def keep_conventions(source: ProblemFile, *, file: str, poses: int) -> Path:
+    """Write beside problem.py that so many poses of a file, off the pendant, confirm its joint conventions."""
+    robot = source.problem.robot
+    joints = random_joints(robot, 4, np.random.default_rng(0))
+    kept = {
+        "written_by": MADE,
+        "poses": poses,
+        "file": file,
+        "joints": joints.tolist(),
+        "flange_mm": drawn_places(robot, joints).tolist(),
+    }
+    place = Path(source.path).parent / CONVENTIONS
+    write_text(place, json_text(kept))
+    return place
 
 
 def load_problem(path: str | Path) -> ProblemFile:

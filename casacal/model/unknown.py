@@ -16,6 +16,13 @@ from casacal.errors import ProblemError
 from casacal.model.kinematics import Expression
 from casacal.values import Array, Rows, plain, read_only
 
+OTHER_UNITS = {
+    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), (1000.0, "mm")),
+    **dict.fromkeys(("in", "inch", "inches"), (25.4, "mm")),
+    **dict.fromkeys(("deg", "degree", "degrees"), (math.pi / 180, "rad")),
+    **{"cm": (10.0, "mm"), "mrad": (1e-3, "rad")},
+}
+"""Units that a drawing may have, and the factor to that of models."""
 PRIOR_STD = {"mm": 0.7, "rad": 1e-3}
 """Prior of a number whose user gives none: what machining and assembly leave of an industrial arm; see `priors`."""
 
@@ -218,7 +225,7 @@ class Parameter(Unknown):
             that the data are to propose, or, with labels, for a vector.
         unit: "mm", "rad" or any other word; only "mm" and "rad" have a default `start_std`.
         prior_std: standard deviation of the deviation from nominal, one or one each, in `unit`; `math.inf` is flat;
-            None takes 0.7 mm or 1 mrad (`casacal.priors` says why), or flat when the data are to propose the value.
+            None takes 0.7 mm or 1 mrad, or flat when the data are to propose the value.
         start_std: where filters start components with a flat prior; never part of the cost.
         free: False holds the value at nominal; a sequence says so component by component.
         labels: suffixes of the component names, such as ("_x", "_y", "_z"); default "1", "2", ...
@@ -248,6 +255,10 @@ class Parameter(Unknown):
             raise ProblemError(what, "Give one label per value")
         if self.values is None and not self._free.all() and not self.held_as_proposed:
             raise ProblemError("A parameter is held but has no value", "Give its value, or leave it free")
+        if self.unit in OTHER_UNITS:
+            factor, unit = OTHER_UNITS[self.unit]
+            what = f"A parameter is in '{self.unit}', and models are in mm and rad"
+            raise ProblemError(what, f"Give value and prior_std times {factor:g}, with unit='{unit}'")
         check_stds(self._prior, "prior_std of a parameter")
         _ = self.start_stds  # or a sentence
 

@@ -249,7 +249,7 @@ def test_findings_are_broken_into_lines_where_someone_looks(capsys):
     lines = out.replace("\r", "").splitlines()
     assert len(lines) > 3
     assert max(len(re.sub(r"\x1b\[[\d;]*m", "", line)) for line in lines) <= 60
-    assert len(call(capsys, "check", HSR)[1].splitlines()) == 2
+    assert len(call(capsys, "check", HSR)[1].splitlines()) == 3
 
 
 def test_width_stays_within_reason(monkeypatch):
