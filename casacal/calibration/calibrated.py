@@ -19,9 +19,8 @@ from casacal.calibration.result_parts import parameter_rows
 from casacal.calibration.saved import AsArm, parameter_table
 from casacal.calibration.sensitivity import Sensitivity
 from casacal.calibration.summary import summary
-from casacal.calibration.verdict import verdict_of
+from casacal.calibration.verdict import Judged
 from casacal.deployment.arm import CalibratedArm
-from casacal.deployment.result import Verdict
 from casacal.effects.selection import DialError, LeftOut
 from casacal.errors import CasacalError
 from casacal.files import jsonable, write_text
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-class Calibrated(Calibration, AsArm):
+class Calibrated(Judged, AsArm):
     """Result of `calibrate`: a `Calibration` behind its verdict, with names as in SciPy's results, and pictures.
 
     Where its verdict is not to use it, figures of accuracy are NaN, `cures` is empty and `success` is False. `result`
@@ -46,16 +45,6 @@ class Calibrated(Calibration, AsArm):
     def unjudged(self) -> Calibration:
         """The calibration with every figure, whatever the verdict; the verdict itself is computed from it."""
         return Calibration(**{field.name: getattr(self, field.name) for field in fields(Calibration)})
-
-    @cached_property
-    def verdict(self) -> Verdict:
-        """How far the result may be used, and what speaks against it; it may take the whole data check to know."""
-        return verdict_of(self)
-
-    @property
-    def denied(self) -> bool:
-        """Whether the verdict is not to use this result."""
-        return self.verdict.level == "do not use"
 
     @property
     def passed(self) -> bool:

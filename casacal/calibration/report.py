@@ -15,7 +15,7 @@ from casacal.calibration.motion import Tried, tip_extremes
 from casacal.calibration.report_pictures import LOOKED_AT, Part, Touches, face_maps, histograms, row_plots
 from casacal.calibration.result_parts import closing as closing_part
 from casacal.calibration.result_parts import geometry, noise_part, parameter_rows, verdict_lines
-from casacal.calibration.verdict import verdict_of
+from casacal.calibration.verdict import Judged
 from casacal.deployment.result import Level
 from casacal.effects.selection import VERY_STRONG
 from casacal.pages.drawing import (
@@ -260,7 +260,7 @@ LINES = 60  # line numbers that are named
 
 
 def report_page(
-    calibration: Calibration, document: Mapping[str, Any], *, command: str | None = None, box: Box | None = None
+    calibration: Judged, document: Mapping[str, Any], *, command: str | None = None, box: Box | None = None
 ) -> str:
     """HTML of the report: one page that needs no other file, no network and no script.
 
@@ -268,8 +268,7 @@ def report_page(
     reproduces it, as typed, if there was one. box: where the arm will work, mm in the base frame.
     """
     each = tuple(Touches.of(calibration, i) for i in range(len(calibration.fit.samples)))
-    problem, verdict = calibration.fit.problem, verdict_of(calibration)
-    denied = verdict.level == "do not use"
+    problem, verdict, denied = calibration.fit.problem, calibration.verdict, calibration.denied
     noise, closing = noise_part(calibration.unjudged), closing_part(calibration.result, calibration.seconds)
     planes = geometry(calibration.fit, calibration.used_x)["planes"]
     parameters, held = tables.parameters(calibration)
@@ -329,7 +328,7 @@ def _counts(calibration: Calibration) -> dict[str, Any]:
     return {"counts": counts, "aside": excluded, "together": together}
 
 
-def _figures(calibration: Calibration) -> list[tuple[str, str, str]]:
+def _figures(calibration: Judged) -> list[tuple[str, str, str]]:
     """The boxes under the verdict: title, value and explanation of each."""
     before, after, (drawn, now) = calibration.metrics["before"], calibration.metrics["after"], calibration.tip_std
     was, left, where = before["fit"], after["fit"], "fitted rows"
@@ -341,7 +340,7 @@ def _figures(calibration: Calibration) -> list[tuple[str, str, str]]:
     known = sum(row["known_from"] == "samples" for row in free)
     found, reference = calibration.identifiability, calibration.reference
     expected = ("Expected tip error", "not stated", "the result must not be used")
-    if verdict_of(calibration).level != "do not use":
+    if not calibration.denied:
         words = f"RMS over the workspace, apart from the position of the base; before {mm(drawn)}"
         expected = ("Expected tip error", mm(now), words)
     residual = f"RMS of the {where}; before {mm(was['rmse_mm'], 4)}"

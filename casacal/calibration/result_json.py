@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from casacal.calibration import result_parts as parts
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.verdict import verdict_of, warnings
+from casacal.calibration.verdict import Judged, warnings
 from casacal.data.repeats import listing
 from casacal.data.samples import Measurements
 from casacal.deployment.result import Verdict
@@ -33,7 +33,7 @@ PLACED = (*(name for name in FILES if name != "result.json"), "result.json")
 
 
 def calibration_document(
-    calibration: Calibration, source: ProblemFile | None = None, *, folder: Path | None = None
+    calibration: Judged, source: ProblemFile | None = None, *, folder: Path | None = None
 ) -> dict[str, Any]:
     """The whole of result.json for a calibration; paths are relative to the folder that it will stand in, if any."""
     pairs = correlated_pairs(calibration.covariance, calibration.seen.names)
@@ -61,12 +61,9 @@ def calibration_document(
     )
 
 
-def found_part(
-    calibration: Calibration, source: ProblemFile | None = None, *, folder: Path | None = None
-) -> dict[str, Any]:
+def found_part(calibration: Judged, source: ProblemFile | None = None, *, folder: Path | None = None) -> dict[str, Any]:
     """The part of result.json that other tools rely on; the rest is for people and takes longer to compute."""
-    result, fit, verdict = calibration.result, calibration.fit, verdict_of(calibration)
-    denied = verdict.level == "do not use"
+    result, fit, verdict, denied = calibration.result, calibration.fit, calibration.verdict, calibration.denied
     return {
         **parts.head_of(source or calibration.source, result, calibration.seed, fit.backend, folder),
         "verdict": asdict(verdict),
@@ -130,7 +127,7 @@ def _fitted_rows(
 
 
 def write_calibration(
-    calibration: Calibration, folder: Path, *, command: str | None = None, box: Box | None = None
+    calibration: Judged, folder: Path, *, command: str | None = None, box: Box | None = None
 ) -> list[Path]:
     """Write report.html, result.json, parameters.csv and pictures into a folder.
 
@@ -144,7 +141,7 @@ def write_calibration(
     with together(folder, PLACED) as place:
         write_text(place / "report.html", report_page(calibration, document, command=command, box=box))
         write_json(place / "result.json", document)
-        write_text(place / "parameters.csv", _table(document["parameters"], verdict_of(calibration)))
+        write_text(place / "parameters.csv", _table(document["parameters"], calibration.verdict))
         save_plots(calibration, place)
         made = [name for name in FILES if (place / name).exists()]
     return [folder / name for name in made]

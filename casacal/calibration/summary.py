@@ -14,12 +14,12 @@ from casacal.calibration.calibration import Calibration
 from casacal.calibration.result_parts import verdict_lines
 from casacal.calibration.verdict import (
     VERIFY,
+    Judged,
     doubts,
     earlier_contradicted,
     held_as_drawn,
     priors_contradicted,
     unexplained,
-    verdict_of,
     wrong_with_samples,
 )
 from casacal.data.samples import Measurements
@@ -221,10 +221,9 @@ PLANNED = (
 )
 
 
-def summary(calibration: Calibration, name: str) -> str:
+def summary(calibration: Judged, name: str) -> str:
     """Plain text of many lines; figures of accuracy are left out when the verdict denies them."""
-    verdict = verdict_of(calibration)
-    denied = verdict.level == "do not use"
+    verdict, denied = calibration.verdict, calibration.denied
     image = [] if denied or calibration.mirror_image is None else [calibration.mirror_image.words]
     reasons = (f"- {reason}" for reason in [*image, *verdict.reasons])
     parts = [

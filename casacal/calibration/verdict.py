@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -339,6 +340,20 @@ def verdict_of(calibration: Calibration) -> Verdict:
         words = f"Use with care: {expected} But {' and '.join(doubt.clause for doubt in found[:2])}."
         return Verdict("use with care", f"{words}{unchecked}", tuple(doubt.sentence for doubt in found))
     return Verdict("calibrated", f"Calibrated: {expected}{unchecked}")
+
+
+class Judged(Calibration):
+    """A calibration that knows its verdict."""
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """How far the result may be used, and what speaks against it; it may take the whole data check to know."""
+        return verdict_of(self)
+
+    @property
+    def denied(self) -> bool:
+        """Whether the verdict is not to use this result."""
+        return self.verdict.level == "do not use"
 
 
 def _expected(calibration: Calibration) -> str:

@@ -20,7 +20,7 @@ from casacal.fit.methods import METHODS
 from casacal.wording import mm
 
 if TYPE_CHECKING:
-    from casacal.calibration.calibration import Calibration
+    from casacal.calibration.calibrated import Calibrated
     from casacal.deployment.arm import CalibratedArm
     from casacal.model.problem_file import ProblemFile
     from casacal.uncertainty.tip_error import Box
@@ -135,17 +135,15 @@ def _since(options: argparse.Namespace) -> tuple[dict[str, float | None], list[s
     return stds, standing, read_result(options.prior_from)
 
 
-def _report(calibration: Calibration, source: ProblemFile, box: Box | None, options: argparse.Namespace) -> int:
+def _report(calibration: Calibrated, source: ProblemFile, box: Box | None, options: argparse.Namespace) -> int:
     """Print the answer in the requested form and write the files; returns 0 or 1."""
     from casacal.calibration.result_json import calibration_document, write_calibration
     from casacal.calibration.summary import MOST_LINES, brief, summary
     from casacal.calibration.tables import corrected_words
-    from casacal.calibration.verdict import verdict_of
     from casacal.model.problem_text import FILL_IN
     from casacal.uncertainty.tip_error import accuracy_in_box
 
-    verdict = verdict_of(calibration)
-    denied = verdict.level == "do not use"
+    verdict, denied = calibration.verdict, calibration.denied
     expected, found = list[str](), dict[str, Any]()
     if box is not None and not denied:
         motion = calibration.motion

@@ -81,6 +81,26 @@ def _nearly(spellings: Sequence[str], header: Sequence[str], taken: Collection[s
     return alike[0] if alike else None
 
 
+JOINT_WORDS = "j|joint|axis|ax|a|q|theta|achse|axe"
+"""What other software calls a joint, before its number."""
+UNIT_SIGNS = {"°": "deg", "º": "deg", "degree": "deg", "degrees": "deg", "grad": "deg", "radian": "rad", "inch": "in"}
+HEADING = re.compile(r"([^\W\d_]+)[ _.]*(\d*)[ _]*[\[({<]?([^\W\d_]+|°|º)?[\])}>]?")
+
+
+def _renamed(header: Sequence[str], layout: Layout) -> dict[str, str]:
+    """Columns that other software called otherwise, such as "J1(deg)" or "X [mm]", by what they are called here."""
+    found, quantities = dict[str, str](), layout.quantities
+    for column in header:
+        if (parts := HEADING.fullmatch(column.strip().lower())) is None:
+            continue
+        word, number, unit = parts[1], parts[2], parts[3] or ""
+        name = f"q{number}" if number and re.fullmatch(JOINT_WORDS, word) else f"{word}{number}"
+        unit = UNIT_SIGNS.get(unit, unit)
+        if name in quantities and unit in UNITS[quantities[name]] and f"{name}_{unit}" != column:
+            found.setdefault(column, f"{name}_{unit}")
+    return found if len(set(found.values())) == len(found) else {}
+
+
 def match_columns(table: Columns, layout: Layout) -> dict[str, tuple[str, float]]:
     """The column and the factor to mm or rad of each quantity."""
     for name, reason in layout.refused.items():
@@ -110,6 +130,9 @@ def match_columns(table: Columns, layout: Layout) -> dict[str, tuple[str, float]
         wrong = [column for column in table.header if column.startswith(f"{name}_")]
         if wrong:
             raise table.refusal(f"the column does not carry a unit known for {name}", f"Call it {wanted}", wrong[0])
+        if len(other := _renamed(table.header, layout)) > 1:
+            told = ", ".join(f"'{column}' to {right}" for column, right in other.items())
+            raise table.refusal(f"there is no column for {name}, but one with another heading", f"Rename {told}", None)
         alike = _nearly(tuple(spellings), table.header, taken)
         hint = f"(did you mean '{alike}'?)" if alike else "among " + ", ".join(table.header[:20])
         raise table.refusal(f"there is no column for {name} {hint}", f"{'Call it' if alike else 'Add'} {wanted}", alike)

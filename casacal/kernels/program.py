@@ -56,16 +56,14 @@ def operations_of(function: ca.Function) -> tuple[list[Operation], list[list[int
         if op == ca.OP_OUTPUT:
             results[written[0]][written[1]] = work[read[0]]
             continue
-        if op == ca.OP_CALL:  # a rootfinder, an interpolant or a callback
-            what = f"'{function.name()}' calls another function, such as a rootfinder, an interpolant or a Callback"
-            raise ProblemError(what, "Write what it computes in CasADi's elementary operations, such as sin and sqrt")
         if op == ca.OP_CONST:
             operations.append(Operation(op, constant=float(function.instruction_constant(k))))
         elif op == ca.OP_INPUT:
             operations.append(Operation(op, element=(read[0], read[1])))
         else:
             operations.append(Operation(op, tuple(work[i] for i in read)))
-        work[written[0]] = len(operations) - 1
+        for place in written:  # a call of another function has several results
+            work[place] = len(operations) - 1
     return operations, results
 
 

@@ -68,7 +68,7 @@ def tip_stds(covariance: Array, field: Array, off: Array | None = None) -> Array
     lost = ~np.isfinite(np.diagonal(covariance))
     held = np.where(np.isfinite(covariance), covariance, 0.0)
     if len(held) <= FEW_UNKNOWNS:  # where the threads of matrix products would only wait for one another
-        variance = np.einsum("ij,jk,ik->i", field, held, field)
+        variance = np.einsum("ik,ik->i", np.einsum("ij,jk->ik", field, held), field)
     else:
         variance = ((field @ held) * field).sum(axis=1)
     if off is not None:

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from conftest import ROOT
 
-from casacal import calibrate
+from casacal import calibrate, load_problem
 from casacal.data.samples import Layout, Samples, write_samples
 from casacal.errors import SamplesError
 
@@ -154,3 +154,26 @@ def test_blank_lines_and_comments_between_rows_change_no_result(hsr, tmp_path):
     )
     assert one.cost == two.cost
     np.testing.assert_array_equal(one.x, two.x)
+
+
+@pytest.mark.parametrize(
+    ("heading", "right"),
+    [
+        ("q{} [°]", "q{}_deg"),
+        ("J{}(deg)", "q{}_deg"),
+        ("Axis {} (rad)", "q{}_rad"),
+        ("joint{}_deg", "q{}_deg"),
+        ("A{} degrees", "q{}_deg"),
+    ],
+)
+def test_headings_of_other_software_are_named_all_at_once(heading, right, tmp_path):
+    layout = load_problem(ROOT / "problems" / "instruments" / "tracker").problem.layout()
+    names = [*(heading.format(k) for k in range(1, 7)), "X [mm]", "Y(mm)", "z_mm", "session"]
+    file = tmp_path / "rows.csv"
+    file.write_text(",".join(names) + "\n" + ",".join(["0"] * 9) + ",1\n", encoding="utf-8")
+    with pytest.raises(SamplesError) as caught:
+        Samples.from_file(file, layout)
+    for k in range(1, 7):
+        assert f"'{heading.format(k)}' to {right.format(k)}" in str(caught.value)
+    assert "'X [mm]' to x_mm, 'Y(mm)' to y_mm" in str(caught.value)
+    assert "z_mm" not in str(caught.value)

@@ -461,7 +461,7 @@ def test_check_claims_no_mistake_that_it_did_not_try_and_names_readings_out_of_l
 def test_sign_and_scale_of_ones_own_instrument_are_named(factor, about, says):
     problem = laser(reading_limits=LIMITS)
     rows = simulate(problem, Disturbances(resolution=0.0), samples=120, seed=1).samples
-    assert not check(problem, rows)
+    assert not check(problem, rows, confirmed=True)
     wrong = replace(rows, columns={"range": factor * rows.columns["range"]})
     (found,) = check(problem, wrong)
     assert (found.severity, found.about) == ("error", about)
