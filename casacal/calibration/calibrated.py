@@ -19,7 +19,7 @@ from casacal.calibration.result_parts import parameter_rows
 from casacal.calibration.saved import AsArm, parameter_table
 from casacal.calibration.sensitivity import Sensitivity
 from casacal.calibration.summary import summary
-from casacal.calibration.verdict import Judged
+from casacal.calibration.verdict import WithVerdict
 from casacal.deployment.arm import CalibratedArm
 from casacal.effects.selection import DialError, LeftOut
 from casacal.errors import CasacalError
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-class Calibrated(Judged, AsArm):
+class Calibrated(WithVerdict, AsArm):
     """Result of `calibrate`: a `Calibration` behind its verdict, with names as in SciPy's results, and pictures.
 
     Where its verdict is not to use it, figures of accuracy are NaN, `cures` is empty and `success` is False. `result`

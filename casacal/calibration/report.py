@@ -15,7 +15,7 @@ from casacal.calibration.motion import Tried, tip_extremes
 from casacal.calibration.report_pictures import LOOKED_AT, Part, Touches, face_maps, histograms, row_plots
 from casacal.calibration.result_parts import closing as closing_part
 from casacal.calibration.result_parts import geometry, noise_part, parameter_rows, verdict_lines
-from casacal.calibration.verdict import Judged
+from casacal.calibration.verdict import WithVerdict
 from casacal.deployment.result import Level
 from casacal.effects.selection import VERY_STRONG
 from casacal.pages.drawing import (
@@ -260,7 +260,7 @@ LINES = 60  # line numbers that are named
 
 
 def report_page(
-    calibration: Judged, document: Mapping[str, Any], *, command: str | None = None, box: Box | None = None
+    calibration: WithVerdict, document: Mapping[str, Any], *, command: str | None = None, box: Box | None = None
 ) -> str:
     """HTML of the report: one page that needs no other file, no network and no script.
 
@@ -328,7 +328,7 @@ def _counts(calibration: Calibration) -> dict[str, Any]:
     return {"counts": counts, "aside": excluded, "together": together}
 
 
-def _figures(calibration: Judged) -> list[tuple[str, str, str]]:
+def _figures(calibration: WithVerdict) -> list[tuple[str, str, str]]:
     """The boxes under the verdict: title, value and explanation of each."""
     before, after, (drawn, now) = calibration.metrics["before"], calibration.metrics["after"], calibration.tip_std
     was, left, where = before["fit"], after["fit"], "fitted rows"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from casacal.calibration import result_parts as parts
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.verdict import Judged, warnings
+from casacal.calibration.verdict import WithVerdict, warnings
 from casacal.data.repeats import listing
 from casacal.data.samples import Measurements
 from casacal.deployment.result import Verdict
@@ -33,7 +33,7 @@ PLACED = (*(name for name in FILES if name != "result.json"), "result.json")
 
 
 def calibration_document(
-    calibration: Judged, source: ProblemFile | None = None, *, folder: Path | None = None
+    calibration: WithVerdict, source: ProblemFile | None = None, *, folder: Path | None = None
 ) -> dict[str, Any]:
     """The whole of result.json for a calibration; paths are relative to the folder that it will stand in, if any."""
     pairs = correlated_pairs(calibration.covariance, calibration.seen.names)
@@ -61,7 +61,9 @@ def calibration_document(
     )
 
 
-def found_part(calibration: Judged, source: ProblemFile | None = None, *, folder: Path | None = None) -> dict[str, Any]:
+def found_part(
+    calibration: WithVerdict, source: ProblemFile | None = None, *, folder: Path | None = None
+) -> dict[str, Any]:
     """The part of result.json that other tools rely on; the rest is for people and takes longer to compute."""
     result, fit, verdict, denied = calibration.result, calibration.fit, calibration.verdict, calibration.denied
     return {
@@ -127,7 +129,7 @@ def _fitted_rows(
 
 
 def write_calibration(
-    calibration: Judged, folder: Path, *, command: str | None = None, box: Box | None = None
+    calibration: WithVerdict, folder: Path, *, command: str | None = None, box: Box | None = None
 ) -> list[Path]:
     """Write report.html, result.json, parameters.csv and pictures into a folder.
 

@@ -14,7 +14,7 @@ from casacal.calibration.calibration import Calibration
 from casacal.calibration.result_parts import verdict_lines
 from casacal.calibration.verdict import (
     VERIFY,
-    Judged,
+    WithVerdict,
     doubts,
     earlier_contradicted,
     held_as_drawn,
@@ -221,7 +221,7 @@ PLANNED = (
 )
 
 
-def summary(calibration: Judged, name: str) -> str:
+def summary(calibration: WithVerdict, name: str) -> str:
     """Plain text of many lines; figures of accuracy are left out when the verdict denies them."""
     verdict, denied = calibration.verdict, calibration.denied
     image = [] if denied or calibration.mirror_image is None else [calibration.mirror_image.words]

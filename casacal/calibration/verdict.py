@@ -342,7 +342,7 @@ def verdict_of(calibration: Calibration) -> Verdict:
     return Verdict("calibrated", f"Calibrated: {expected}{unchecked}")
 
 
-class Judged(Calibration):
+class WithVerdict(Calibration):
     """A calibration that knows its verdict."""
 
     @cached_property

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import argparse
 import math
+import tempfile
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from casacal.cli.common import DONE, add, number_or_range
 from casacal.cli.terminal import say_paragraphs
 from casacal.errors import CasacalError
+
+if TYPE_CHECKING:
+    from casacal.model.problem_text import Answers, Plate
 
 HELP = "make a problem folder from a DH table or a URDF"
 SHORTEST = 2.0  # mm; a tool shorter than this was given in metres
@@ -27,6 +33,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--sign", words, choices=("-1", "+1", "1"))
     add(parser, "--travel MM", "range of the dial, such as 10 or -5:5; default: 10", kind=number_or_range)
     add(parser, "--accuracy MM", "absolute accuracy of the arm as its maker states it", kind=float)
+    words = "face to touch: its middle in the base frame, mm, its normal (default: upwards) and side (300)"
+    add(parser, "--plate NAME:X,Y,Z[:NX,NY,NZ][:SIDE] ...", words)
+    words = "height of a gauge block on the first plate, which tells the size of the arm"
+    add(parser, "--block MM", words, kind=float)
+    add(parser, "--table Z", "height of the table on which all stands, mm in the base frame; default: 0", kind=float)
     add(parser, "--out DIR", "where to make the folder; default: here", default=".")
 
 
@@ -38,7 +49,11 @@ def run(options: argparse.Namespace) -> int:
 
     sign = None if options.sign is None else int(options.sign)
     tool = None if options.tool is None else _triple(options.tool)
-    answers = Answers(tool=tool, sign=sign, travel=options.travel, accuracy=options.accuracy)
+    plates = tuple(map(_plate, options.plate))
+    answers = Answers(tool=tool, sign=sign, travel=options.travel, accuracy=options.accuracy, plates=plates,
+                      block=options.block, table=options.table)  # fmt: skip
+    if not plates and (options.block is not None or options.table is not None):
+        answers = _with_proposed_plates(answers, options)
     if options.dh is not None:
         if options.tip or options.base:
             raise CasacalError("--tip and --base name links of a URDF", "Leave them out with --dh")
@@ -55,10 +70,58 @@ def run(options: argparse.Namespace) -> int:
         folder, arm = new_from_urdf(options.name, options.urdf, options.out, tip=tip, base=base, answers=answers)
         say_paragraphs(f"{arm.name}: {len(arm.moving)} joints from '{arm.chain[0].parent}' to '{arm.chain[-1].child}'")
     place = folder.as_posix()
+    for face in answers.faces:
+        where = ", ".join(f"{number:g}" for number in face.centre)
+        towards = "" if face.normal == (0.0, 0.0, 1.0) else f", facing {', '.join(f'{n:g}' for n in face.normal)}"
+        begun = "Proposed face" if answers.proposed else "Face"
+        say_paragraphs(f"{begun} '{face.label}': middle at {where} mm{towards}, {face.side:g} mm wide")
     say_paragraphs(f"Written: {place}", *(f"To fill in: {words}" for words in answers.missing))
     following = f"casacal simulate {place} --out out/{options.name}_samples.csv"
     say_paragraphs(f"Next: {f'fill these in {place}/problem.py, then ' if answers.missing else ''}{following}")
     return DONE
+
+
+def _plate(text: str) -> Plate:
+    """A plate from NAME:X,Y,Z[:NX,NY,NZ][:SIDE]."""
+    from casacal.model.problem_text import Plate
+
+    name, *parts = text.split(":")
+    fix = "Write NAME:X,Y,Z, :NX,NY,NZ for its normal where it does not lie, and :SIDE, in mm: floor:600,0,50:300"
+    try:
+        numbers = [tuple(float(number) for number in part.split(",")) for part in parts]
+    except ValueError:
+        raise CasacalError(f"--plate {text} is no plate", fix) from None
+    shape = [len(each) for each in numbers]
+    if not name.strip() or shape not in ([3], [3, 1], [3, 3], [3, 3, 1]):
+        raise CasacalError(f"--plate {text} is no plate", fix)
+    normal = numbers[1] if len(numbers) > 1 and shape[1] == 3 else (0.0, 0.0, 1.0)
+    return Plate(name.strip(), numbers[0], normal, numbers[-1][0] if shape[-1] == 1 else Plate.side)  # type: ignore[arg-type]
+
+
+def _with_proposed_plates(answers: Answers, options: argparse.Namespace) -> Answers:
+    """Plates where this arm reaches them, in front of its base and on its table, as `plan` would take them."""
+    from casacal.model.new import new_from_dh, new_from_urdf
+    from casacal.model.problem_file import load_problem
+    from casacal.model.problem_text import Plate
+    from casacal.simulation.touches import default_cell
+
+    bare = replace(answers, block=None)
+    with tempfile.TemporaryDirectory() as place:
+        if options.dh is not None:
+            folder, _ = new_from_dh("arm", options.dh, place, answers=bare)
+        else:
+            folder, _ = new_from_urdf("arm", options.urdf, place, tip=options.tip, base=options.base, answers=bare)
+        cell = default_cell(load_problem(folder).problem, table=answers.table or 0.0)
+    plates = [
+        Plate(
+            face.label,
+            (round(face.centre[0]), round(face.centre[1]), math.ceil(face.centre[2])),
+            (round(face.normal[0], 4), round(face.normal[1], 4), round(face.normal[2], 4)),
+            math.floor(min(face.size)),
+        )
+        for face in cell.faces
+    ]
+    return replace(answers, plates=tuple(plates), proposed=True)
 
 
 def _triple(text: str) -> tuple[float, float, float]:

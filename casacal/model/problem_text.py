@@ -8,21 +8,41 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from casacal.errors import CasacalError
 from casacal.model.dh_table import degrees, plain
 from casacal.model.instrument import Travel, readings_within
 from casacal.model.joints import Conventions, Joint
+from casacal.model.unknown import tangent_basis
 
 FINEST = 0.01  # mm; an accuracy below it was given in metres
 FILL_IN = "TO FILL IN"  # mark of a line that nobody has checked yet
 
 
+@dataclass(frozen=True)
+class Plate:
+    """A flat face of a new cell: its label, centre (3, mm, base frame), normal towards the tool, and side (mm)."""
+
+    label: str
+    centre: tuple[float, float, float]
+    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    side: float = 300.0
+
+
+BLOCK, BLOCK_SIDE = "block", 35.0  # label of a gauge block's top, and its side, mm
+HIGHEST_BLOCK = 1000.0  # mm
+LONG_REACH = 10.0  # mm; a plate nearer to the base's origin was given in metres
+
+
 @dataclass(frozen=True, kw_only=True)
 class Answers:
-    """A user's answers about a new cell; None for what was not said.
+    """A user's answers about a new cell; None or empty for what was not said.
 
     tool: the tip at reading zero in the flange frame, mm. sign: +1 where a larger reading lengthens the tool, -1 where
-    it shortens it. accuracy: absolute accuracy of the arm as its maker states it, mm.
+    it shortens it. accuracy: absolute accuracy of the arm as its maker states it, mm. plates: the faces to touch, and
+    whether they were only proposed. block: height of a gauge block on the first of them, mm. table: height of the table
+    on which everything stands, mm in the base frame.
 
     Raises CasacalError for what cannot be.
     """
@@ -31,6 +51,10 @@ class Answers:
     sign: int | None = None
     travel: Travel | None = None
     accuracy: float | None = None
+    plates: tuple[Plate, ...] = ()
+    proposed: bool = False
+    block: float | None = None
+    table: float | None = None
 
     def __post_init__(self) -> None:
         if self.tool is not None and (len(self.tool) != 3 or not all(map(math.isfinite, self.tool))):
@@ -42,18 +66,65 @@ class Answers:
             raise CasacalError(f"The dial's travel is {self.travel!r}", "Give its range in mm, such as 10 or -5:5")
         if self.accuracy is not None and not FINEST <= self.accuracy < math.inf:
             raise CasacalError(f"The maker's accuracy is {self.accuracy:g} mm", f"Give mm, {FINEST} or more")
+        if self.block is not None and not 1.0 <= self.block <= HIGHEST_BLOCK:
+            raise CasacalError(f"The gauge block is {self.block:g} mm high", f"Give 1 to {HIGHEST_BLOCK:g} mm")
+        if self.table is not None and not math.isfinite(self.table):
+            raise CasacalError(f"The table is at {self.table:g} mm", "Give its height in the base frame, mm")
+        labels = [plate.label for plate in self.plates] + ([] if self.block is None else [BLOCK])
+        if len(set(labels)) < len(labels):
+            raise CasacalError(f"Two faces share a name ({', '.join(labels)})", "Name each differently")
+        for plate in self.plates:
+            self._check(plate)
+
+    def _check(self, plate: Plate) -> None:
+        """Raise CasacalError for a plate that cannot be: no normal, in metres, or below the table."""
+        numbers = (*plate.centre, *plate.normal, plate.side)
+        length = math.hypot(*plate.normal)
+        if not all(map(math.isfinite, numbers)) or not length or plate.side <= 0:
+            raise CasacalError(f"Plate '{plate.label}' is {numbers}", "Give a place, a normal that is not zero, a side")
+        if math.hypot(*plate.centre) < LONG_REACH:
+            what = f"Plate '{plate.label}' is {math.hypot(*plate.centre):.3g} mm from the base's origin"
+            raise CasacalError(what, "Give mm in the base frame: 0.6 m are 600")
+        table, unit = self.table or 0.0, np.array(plate.normal) / length
+        lowest = plate.centre[2] - float(np.abs(tangent_basis(unit)[2]).sum()) * plate.side / 2
+        if lowest < table - 1e-6:
+            what = f"Plate '{plate.label}' reaches down to z = {lowest:.0f} mm, and the table is at {table:g} mm"
+            raise CasacalError(what, "Say where the table is: --table Z")
+
+    @property
+    def faces(self) -> tuple[Plate, ...]:
+        """The plates, and the top of the gauge block in the middle of the first."""
+        if self.block is None or not self.plates:
+            return self.plates
+        first = self.plates[0]
+        length = math.hypot(*first.normal)
+        top = [at + self.block * along / length for at, along in zip(first.centre, first.normal, strict=True)]
+        return (*self.plates, Plate(BLOCK, (top[0], top[1], top[2]), first.normal, BLOCK_SIDE))
 
     @property
     def names(self) -> list[str]:
         """Names that problem.py imports for it."""
         scaled = [] if self.accuracy is None else ["scaled_to_accuracy"]
-        return ["DialOnPlane", "dial_gain", "tool_point", *scaled]
+        cell = ["Cell", "Face"] if self.plates else []
+        return ["DialOnPlane", "dial_gain", "tool_point", *cell, *([] if self.block is None else ["Step"]), *scaled]
 
     @property
     def context(self) -> dict[str, object]:
         """Context of templates/problem.py.txt for tool, dial and maker."""
         travel = 10.0 if self.travel is None else self.travel
+        faces = [
+            f"Face({quoted(face.label)}, {tuple_of(map(plain, face.centre))}, {tuple_of(map(plain, face.normal))}, "
+            f"({plain(face.side)}, {plain(face.side)}))"
+            for face in self.faces
+        ]
+        step = ""
+        if self.block is not None and self.plates:
+            step = f"{{{quoted(BLOCK)}: Step({quoted(self.plates[0].label)}, {plain(self.block)})}}"
         return {
+            "faces": faces,
+            "proposed": self.proposed,
+            "step": step,
+            "table": plain(self.table or 0.0),
             "todo": {name: "" if value is not None else f" {FILL_IN}." for name, value in vars(self).items()},
             "tool": ", ".join(map(plain, self.tool or (0.0, 0.0, 0.0))),
             "sign": "+1" if self.sign == 1 else "-1",

@@ -12,6 +12,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from casacal.data.columns import Labels
 from casacal.data.samples import Samples, joined
 from casacal.errors import CasacalError, came, refuse_unknown
 from casacal.files import write_text
@@ -117,7 +118,7 @@ def plan(
     bound = bound_pool(problem, reachable, after, loose)
     choice_at = partial(Choice.of, bound, wanted_joints(bound, box, targets), count=pool, loose=loose)
     choice = choice_at()
-    checks, repeats = round(check * touches), round(again * touches)
+    checks, repeats = enough_to_verify(problem, reachable, round(check * touches)), round(again * touches)
     rng = np.random.default_rng([seed, 1])
     best, few = _enough_of_each(problem, reachable, choice, touches - checks - repeats, starts, rng, criterion)
     twice = best[np.linspace(0, len(best) - 1, repeats).astype(int)] if repeats else best[:0]
@@ -187,6 +188,27 @@ def _enough_of_each(
 TRIES = 20  # draws of what is kept to verify, until one places all that it touches
 
 
+NEARLY = 0.75  # of the touches that verify every face, from which on there are as many
+
+
+def enough_to_verify(problem: Problem, pool: Samples, count: int) -> int:
+    """Measurements to verify: a few more than a count where these then place every face, point or anchor of a pool."""
+    instrument, least = problem.instrument, 0
+    for key in instrument.datum:
+        unknown = instrument.unknowns[key]
+        each = int((~np.isfinite(unknown.prior_stds)).sum()) // problem.models[0].components + 1
+        least = max(least, each * len(instances(instrument, key, unknown, pool)))
+    return max(count, least) if count >= NEARLY * least else count
+
+
+def _by_label(rows: Index, labels: Labels, first: str | None) -> Index:
+    """Rows in an order in which their labels take turns, after three of the `first`, which say where a plane is."""
+    codes = labels.codes[rows]
+    turn = np.array([(codes[:k] == code).sum() for k, code in enumerate(codes)])
+    turn -= 2 * np.array([labels.names[code] == first for code in codes])
+    return rows[np.argsort(turn, kind="stable")]
+
+
 def kept_to_verify(problem: Problem, pool: Samples, left: Index, count: int, rng: np.random.Generator) -> Index:
     """Measurements drawn at random from those left, on as many faces, points or anchors as they locate.
 
@@ -195,12 +217,16 @@ def kept_to_verify(problem: Problem, pool: Samples, left: Index, count: int, rng
     """
     drawn = rng.choice(left, min(count, len(left)), replace=False)
     instrument, groups = problem.instrument, [left]
+    names: list[str | None] = [None]
+    labels = pool.faces(instrument.groups)
     for key in instrument.datum:
         found = instances(instrument, key, instrument.unknowns[key], pool)
-        groups = max(groups, [np.intersect1d(left, rows) for _, rows in found], key=len)
+        if len(found) > len(groups):
+            groups, names = [np.intersect1d(left, rows) for _, rows in found], [name for name, _ in found]
     for faces in range(min(len(groups), count), 0, -1):
         for _ in range(TRIES):
-            order = [rng.permutation(groups[k]) for k in rng.permutation(len(groups))[:faces]]
+            chosen = rng.permutation(len(groups))[:faces]
+            order = [_by_label(rng.permutation(groups[k]), labels, names[k]) for k in chosen]
             turns = [rows[k] for k in range(max(map(len, order))) for rows in order if k < len(rows)]
             if len(turns) < count:
                 break

@@ -287,10 +287,11 @@ def test_a_plan_is_simulated_as_it_would_be_measured(tmp_path, capsys):
     said, problem = json.loads(out[out.index("{") :]), load_problem(HSR).problem
     fitted, kept = (problem.read(files[name]) for name in ("s", "s_check"))
     assert said["samples"] == len(fitted)
-    assert (said["left_out"], said["kept"]) == ([], 10)
-    assert len(fitted) == 40
+    assert (said["left_out"], said["kept"]) == ([], 12)
+    assert len(fitted) == 38
     assert [Path(name).name for name in said["written"]] == ["s.csv", "s_check.csv", "s.truth.json"]
-    assert len(kept) == 10
+    assert len(kept) == 12
+    assert set(kept.labels["plane"].names) == {"floor", "wall", "side"}
     assert min(len(rows) for rows in kept.labels["plane"].rows().values()) >= 4
     planned = read_route(files["plan"], problem.layout())
     for rows, purposes in ((fitted, (FIT, AGAIN)), (kept, (CHECK,))):
