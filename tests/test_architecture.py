@@ -115,6 +115,18 @@ def test_the_core_knows_terms_and_no_effects():
         assert about_effects(planted)
 
 
+def test_a_constant_is_said_once_in_its_file():
+    """The second `TRIED` of a file gave its first users another number."""
+    for path in FILES:
+        names = []
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+            for target in targets:
+                each = target.elts if isinstance(target, ast.Tuple) else [target]
+                names += [name.id for name in each if isinstance(name, ast.Name) and name.id.isupper()]
+        assert len(names) == len(set(names)), (name_of(path), sorted(names))
+
+
 def test_no_cache_goes_from_object_to_object():
     """What was worked out is handed along as an argument."""
     for path in FILES:

@@ -143,13 +143,13 @@ def write_calibration(
     with together(folder, PLACED) as place:
         write_text(place / "report.html", report_page(calibration, document, command=command, box=box))
         write_json(place / "result.json", document)
-        write_text(place / "parameters.csv", _table(document["parameters"], calibration.verdict))
+        write_text(place / "parameters.csv", _parameters_csv(document["parameters"], calibration.verdict))
         save_plots(calibration, place)
         made = [name for name in FILES if (place / name).exists()]
     return [folder / name for name in made]
 
 
-def _table(rows: Sequence[Mapping[str, Any]], verdict: Verdict) -> str:
+def _parameters_csv(rows: Sequence[Mapping[str, Any]], verdict: Verdict) -> str:
     """Parameters as CSV, below who wrote it and a verdict that is not simply calibrated."""
     text = io.StringIO()
     said = "" if verdict.level == "calibrated" else f". {verdict.words}"

@@ -1,4 +1,4 @@
-"""The tables about a calibration, made once: the terminal prints them, the report sets them."""
+"""Tables about a calibration for terminal and report; parameters.csv is written by `result_json`."""
 
 from __future__ import annotations
 

@@ -150,7 +150,7 @@ def _scale(axes: Axes, meaning: Meaning) -> Array:
     return np.where(axes.turns, ANGLES[meaning.joint_unit], LENGTHS[meaning.length_unit])
 
 
-TRIED, REFINED, STEPS = 72, 3, 6
+AROUND, REFINED, STEPS = 72, 3, 6
 """Values of an angle that are tried, those among them that are refined, and the most steps to refine one."""
 AS_WELL = 2.0
 """Multiples of what the other rows miss by, within which a changed number explains its row as well as they are."""
@@ -221,7 +221,7 @@ def _size(misses: Array) -> Array:
 def _cells(axes: Axes, rows: PendantRows, meaning: Meaning, name: tuple[str, str]) -> Iterator[tuple[str, Array]]:
     """Each column, with values to start from: one where poses are linear in it, else all round."""
     kind, unit = name
-    n, around = rows.joints.shape[1], np.linspace(-np.pi, np.pi, TRIED, endpoint=False)
+    n, around = rows.joints.shape[1], np.linspace(-np.pi, np.pi, AROUND, endpoint=False)
     angles = {"quaternion": around / np.pi, "rotation-vector": 2 * around}.get(kind, around) / ANGLES.get(unit, 1.0)
     for k, column in enumerate(rows.names):
         if k < n:

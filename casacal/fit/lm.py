@@ -12,6 +12,10 @@ open. Lengths are in posterior standard deviations, sqrt(step' H step).
 Damping shortens steps, so a short damped step proves nothing: only the undamped one tells how far the minimum is, and
 near the minimum it is the one that is taken. Where the normal equations are no longer safe, steps come from singular
 values, and directions that neither data nor prior hold are left alone.
+
+It stops where the undamped step falls below `tolerance` or its fall is lost in rounding after a step that converged
+(`Move.negligible`); where undamped steps no longer shorten, at the shortest (`Shortest.last`); where no damping lowers
+f (`Damping.stuck`, `given_up`); where f is not finite (`Point.usable`); and after `max_steps`.
 """
 
 from __future__ import annotations
@@ -31,7 +35,7 @@ from casacal.values import Array
 FASTEST_DECREASE = 1 / 3
 """Largest fall of the damping in one step: Nielsen, Damping parameter in Marquardt's method, 1999, eq (2.16)."""
 
-UNSEEN = 1e-12  # a fall of the log posterior below this part of (1 + cost) cannot be told from rounding
+ROUNDING = 1e-12  # a fall of the log posterior below this part of (1 + cost) cannot be told from rounding
 SHORT = 0.1  # posterior standard deviations below which the undamped step is worth a look
 
 CLOSE = 5.0
@@ -163,7 +167,7 @@ def _undamped(problem: LeastSquares, here: Point, loss: Loss | None) -> Move | N
 
 
 def _hidden(step: DampedStep, here: Point) -> bool:
-    return step.predicted <= UNSEEN * (1 + here.cost)
+    return step.predicted <= ROUNDING * (1 + here.cost)
 
 
 def _step(problem: LeastSquares, here: Point, damping: float, loss: Loss | None) -> DampedStep | None:

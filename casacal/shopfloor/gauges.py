@@ -101,7 +101,7 @@ def gauge(name: str, *, pattern: str | None = None, unit: str | None = None, ask
             raise CasacalError(
                 f"The pattern {pattern!r} has no group 'value'", "Write (?P<value>...) around the number"
             )
-        known = Gauge("of this pattern", pattern)
+        known = replace(known, name="of this pattern", pattern=pattern)
     if asks is not None:  # the ends of lines are typed as a backslash and a letter
         known = replace(known, asks=asks.replace("\\r", "\r").replace("\\n", "\n"))
     return replace(known, unit=unit or known.unit)

@@ -660,3 +660,11 @@ def test_an_angle_is_typed_in_the_unit_in_which_it_is_asked_for(hsr):
     assert "(reading in mm)" in help_words(hsr.problem)
     notes = plan_text(plan(problem, touches=12, pool=60, starts=1), problem, "cable").splitlines()
     assert not any("dial" in note or "plunger" in note for note in notes if note.startswith("#"))
+
+
+def test_a_pattern_of_ones_own_keeps_how_its_gauge_is_asked_and_errs():
+    own = gauge("sylvac", pattern=r"X(?P<value>[-+.\d]+)")
+    assert own.asks == "?\r"
+    assert own.reading("X1.5") == 1.5
+    with pytest.raises(CasacalError, match="which is an error"):
+        own.reading("ERR 4")
