@@ -262,7 +262,15 @@ def quantity(row: Row, field: str, units: Mapping[str, float], where: str) -> fl
         same = math.remainder(value, 2 * math.pi / units[unit])
         fix = f"Write {plain(same)}, which is the same, if no digit is wrong"
         raise ProblemError(f"{where}: {field}_{unit} is {value:g}; a twist is within half a turn", fix)
-    return value * units[unit]
+    return quarter_turns(value) if unit == "rad" else value * units[unit]
+
+
+def quarter_turns(value: float) -> float:
+    """An angle in rad, whole quarter turns where it is these as rounded: 1.570796327 and 1.5708 are pi / 2."""
+    turns = round(value / (math.pi / 2))
+    digits = len(f"{value!r}".partition(".")[2])
+    meant = turns * math.pi / 2
+    return meant if 3 <= digits < 17 and abs(value - meant) <= 0.5001 * 10.0**-digits else value
 
 
 def joint_of(row: Row, where: str, number: int) -> Joint:

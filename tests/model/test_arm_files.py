@@ -9,7 +9,7 @@ from robots_of_others import ODD_URDF, PUMA_TOML, UR5_CSV, UR5_URDF
 
 from casacal import Conventions, Joint, Robot
 from casacal.errors import ProblemError
-from casacal.model.dh_table import conventions_toml, dh_file_text, read_dh_file
+from casacal.model.dh_table import conventions_toml, dh_file_text, quarter_turns, read_dh_file
 
 
 @pytest.fixture
@@ -285,3 +285,16 @@ def test_damaged_files_are_read_or_refused_in_a_sentence(file, name):
         except ProblemError:
             refused += 1
     assert refused > 30
+
+
+@pytest.mark.parametrize("written", ["1.570796327", "1.5708", "1.571", "-3.14159265", "4.712389", "-1.57079632679"])
+def test_quarter_turns_in_rad_are_what_they_were_rounded_from(written):
+    turns = float(written) / (math.pi / 2)
+    assert quarter_turns(float(written)) == round(turns) * math.pi / 2
+
+
+@pytest.mark.parametrize(
+    "written", ["1.57", "1.5709", "1.5707", "0.0", "0.001", "1.570797", "2.0", "1.5707963267948966"]
+)
+def test_other_angles_in_rad_stay_as_they_are(written):
+    assert quarter_turns(float(written)) == float(written)
