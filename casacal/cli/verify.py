@@ -61,5 +61,7 @@ def run(options: argparse.Namespace) -> int:
     said = found.summary(whole=options.verbose).split("\n")
     if result.found.method == "truth":
         said.append(f"warning: {result.file}: {TRUTH}")
+    if result.mirror_words is not None:  # fresh rows of the same instrument fit the image as well
+        said.append(result.mirror_words)
     answer(options, found.to_dict(), *said, *([] if options.verbose else ["Faces, regions and statistics: --verbose"]))
     return DONE if found.passed else FAILED

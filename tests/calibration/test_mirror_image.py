@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -130,19 +131,15 @@ def test_patterns_and_misfits():
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
     folder = tmp_path_factory.mktemp("image")
-    lines = ["# name: six", "# convention: standard", "joint,alpha_deg,a_mm,d_mm,theta_deg,lower_deg,upper_deg"]
-    for k in range(6):
-        numbers = (np.degrees(TABLE["alpha"][k]), TABLE["a"][k], TABLE["d"][k], np.degrees(TABLE["theta"][k]))
-        lines.append(f"{k + 1}," + ",".join(f"{number:g}" for number in numbers) + ",-170,170")
-    (folder / "six.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    words = ["--tool", "0,0,120", "--sign", "-1", "--travel", "10", "--out", str(folder)]
-    assert main(["new", "six", "--dh", str(folder / "six.csv"), *words]) == 0
+    shutil.copytree(ROOT / "problems" / "hsr_jr680", folder / "six")
     assert main(["simulate", str(folder / "six"), "--out", str(folder / "s.csv"), "--samples", "90"]) == 0
-    rng = np.random.default_rng(4)
+    fresh = ["--samples", "40", "--session", "1"]
+    assert main(["simulate", str(folder / "six"), "--out", str(folder / "fresh.csv"), *fresh]) == 0
+    rng, robot = np.random.default_rng(4), load_problem(folder / "six").problem.robot
     for name, signs in (("as_drawn", np.ones(6)), ("image", np.array([-1, 1, 1, -1, 1, -1]))):
         rows = ["q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,x_mm,y_mm,z_mm,qw,qx,qy,qz"]
-        for q in rng.uniform(-1.2, 1.2, (6, 6)):
-            pose = flange(q)
+        for q in rng.uniform(-1.0, 1.0, (6, 6)):
+            pose = np.array(robot.traced.at_drawn(q))
             turn = Rotation.from_matrix(pose[:3, :3]).as_quat()[[3, 0, 1, 2]]
             rows.append(",".join(f"{number:.6f}" for number in (*np.degrees(signs * q), *pose[:3, 3], *turn)))
         (folder / f"{name}.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
@@ -169,6 +166,7 @@ def test_it_is_said_until_poses_off_the_pendant_settle_it(place, capsys):
         ["calibrate", problem, samples, "--out", str(out)],
         ["predict", str(out), str(targets), "--out", str(place / "p.csv")],
         ["export", str(out), "--to", "dh", "--out", str(place / "dh.csv")],
+        ["verify", str(out), str(place / "fresh.csv")],
     ]
     for words in where:
         assert re.search(SAID, said(*words), re.I), words
