@@ -32,6 +32,7 @@ class Plate:
 
 BLOCK, BLOCK_SIDE = "block", 35.0  # label of a gauge block's top, and its side, mm
 HIGHEST_BLOCK = 1000.0  # mm
+FARTHEST = 1e5  # mm; no arm reaches a plate beyond it
 LONG_REACH = 10.0  # mm; a plate nearer to the base's origin was given in metres
 
 
@@ -80,7 +81,9 @@ class Answers:
         """Raise CasacalError for a plate that cannot be: no normal, in metres, or below the table."""
         numbers = (*plate.centre, *plate.normal, plate.side)
         length = math.hypot(*plate.normal)
-        if not all(map(math.isfinite, numbers)) or not length or plate.side <= 0:
+        if not plate.label.isprintable():
+            raise CasacalError(f"A plate is named {plate.label!r}", "Use letters that can be printed on one line")
+        if not all(abs(number) <= FARTHEST for number in numbers) or not length or plate.side <= 0:
             raise CasacalError(f"Plate '{plate.label}' is {numbers}", "Give a place, a normal that is not zero, a side")
         if math.hypot(*plate.centre) < LONG_REACH:
             what = f"Plate '{plate.label}' is {math.hypot(*plate.centre):.3g} mm from the base's origin"

@@ -85,6 +85,8 @@ def test_without_plates_some_are_proposed_above_the_table_and_marked(made, capsy
         (["--plate", "floor:0.7,0,0.04"], "Give mm in the base frame: 0.6 m are 600"),
         (["--plate", "floor:700,0,-40"], "reaches down to z = -40 mm, and the table is at 0 mm"),
         (["--plate", "wall:700,0,100:1,0,0:300"], "reaches down to z = -50 mm"),
+        (["--plate", "floor:1e308,0,40"], "is (1e+308, 0.0, 40.0"),
+        (["--plate", "a\nb:700,0,40"], "A plate is named 'a\\nb'"),
         (["--plate", "floor:700,0"], "is no plate. Write NAME:X,Y,Z"),
         (["--plate", "floor:700,0,40:1,2"], "is no plate"),
         (["--plate", "floor:700,0,x"], "is no plate"),
