@@ -34,7 +34,7 @@ from casacal.model.problem import Problem
 from casacal.model.problem_text import conventions_line
 from casacal.model.robot import Robot
 from casacal.values import Array
-from casacal.wording import times
+from casacal.wording import numbered_lines, times
 
 MOST_SCALE = 0.2  # part by which readings are too large beyond which it is no error of scale
 ROUNDS = 4  # Gauss-Newton steps for the size of a fault; all are nearly linear in it
@@ -209,9 +209,39 @@ DOCTOR = "Run casacal doctor on rows of the pendant, and write the coupling into
 MOST_FACES = 12  # faces beyond which their labels are not exchanged two by two
 
 
+MOST_SESSIONS = 6  # labels of a column beyond which units are not looked for one by one
+
+
 def suspected(problem: Problem, samples: Samples) -> Iterator[Fault]:
     """Every mistake that is looked for; of two that explain samples alike and are as simple, the first is believed."""
-    return chain(_columns_and_joints(problem), _parts_of_the_cell(problem, samples))
+    return chain(_columns_and_joints(problem), _places(problem, samples), _parts_of_the_cell(problem, samples))
+
+
+def _places(problem: Problem, samples: Samples) -> Iterator[Fault]:
+    """Mistakes in places that a device tells by three coordinates: targets it had lost, units that differ by label."""
+    lengths = [name for name, kind in problem.instrument.columns.items() if kind == "length"]
+    if len(lengths) < 3:
+        return
+    places = np.column_stack([samples.columns[name] for name in lengths])
+    _, first, which, counts = np.unique(places, axis=0, return_index=True, return_inverse=True, return_counts=True)
+    again = counts[which] > 1
+    again[first[counts == 2]] = False  # of two alike, the first may have been measured
+    if again.any() and 2 * again.sum() < len(places):
+        lines = numbered_lines([samples.lines[k] for k in np.flatnonzero(again).tolist()])
+        cause = f"{lines} hold the same place as others to the last digit, as of a target that was lost"
+        kept, fix = np.flatnonzero(~again), "Remove these lines, or measure them again"
+        yield Fault("lost target", cause, fix, lambda problem, rows: Undone(problem, rows.take(kept)), 1, common=False)
+    for column in samples.labels:
+        labels = samples.faces(column)
+        if not 2 <= len(labels.names) <= MOST_SESSIONS:
+            continue
+        for code, name in enumerate(labels.names):
+            for rows, words in ((labels.codes == code, "is"), (labels.codes != code, "is not")):
+                for factor, unit in UNIT_MISTAKES.items():
+                    changed = {each: np.where(rows, factor, 1.0) * samples.columns[each] for each in lengths}
+                    undo = partial(_instead, columns={**samples.columns, **changed})
+                    cause = f"the lengths where {column} {words} '{name}' seem to be {unit}"
+                    yield Fault(f"unit by {column}", cause, "Convert those rows", undo, 1, common=False)
 
 
 def _columns_and_joints(problem: Problem) -> Iterator[Fault]:

@@ -33,7 +33,7 @@ class Plate:
 BLOCK, BLOCK_SIDE = "block", 35.0  # label of a gauge block's top, and its side, mm
 HIGHEST_BLOCK = 1000.0  # mm
 FARTHEST = 1e5  # mm; no arm reaches a plate beyond it
-LONG_REACH = 10.0  # mm; a plate nearer to the base's origin was given in metres
+NEAREST = 10.0  # mm; a plate nearer to the base's origin was given in metres
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +85,7 @@ class Answers:
             raise CasacalError(f"A plate is named {plate.label!r}", "Use letters that can be printed on one line")
         if not all(abs(number) <= FARTHEST for number in numbers) or not length or plate.side <= 0:
             raise CasacalError(f"Plate '{plate.label}' is {numbers}", "Give a place, a normal that is not zero, a side")
-        if math.hypot(*plate.centre) < LONG_REACH:
+        if math.hypot(*plate.centre) < NEAREST:
             what = f"Plate '{plate.label}' is {math.hypot(*plate.centre):.3g} mm from the base's origin"
             raise CasacalError(what, "Give mm in the base frame: 0.6 m are 600")
         table, unit = self.table or 0.0, np.array(plate.normal) / length

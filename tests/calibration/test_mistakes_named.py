@@ -2,9 +2,11 @@
 
 import dataclasses
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import ROOT
 
 from casacal import DialOnPlane, Problem, Step, calibrate, check, load_problem, plan, simulate
 from casacal.calibration.before_fit import odd_labels, outside, tells_a_wrong_sign
@@ -236,3 +238,43 @@ def test_advice_on_the_travel_keeps_the_other_end_and_leaves_room_for_a_slip(sca
         problem.with_settings({"travel": travel}), read(samples, lambda r: np.linspace(low, high, len(r)))
     )
     assert says in found.fix
+
+
+def _tracked(change):
+    """Findings on a tracker's rows of three sessions, changed by a function of places (N, 3) and sessions (N,)."""
+    source = load_problem(ROOT / "problems" / "instruments" / "tracker")
+    rows = source.problem.read(source.samples)
+    names = np.array(rows.labels["session"].names)[rows.labels["session"].codes]
+    places = np.column_stack([rows.columns[name] for name in "xyz"])
+    changed = dict(zip("xyz", change(places.copy(), names).T, strict=True))
+    return rows, check(source.problem, replace(rows, columns={**rows.columns, **changed}), confirmed=True)
+
+
+@pytest.mark.parametrize("shown", [(0.0, 0.0, 0.0), (9999.0, 9999.0, 9999.0)])
+def test_places_of_a_lost_target_are_named_with_their_lines(shown):
+    def lost(places, _):
+        places[4::9] = shown
+        return places
+
+    rows, (found,) = _tracked(lost)
+    assert (found.severity, found.about) == ("error", "lost target")
+    lines = [rows.lines[k] for k in range(4, len(rows), 9)]
+    assert f"lines {', '.join(map(str, lines))} hold the same place" in found.cause
+    assert "Remove these lines" in found.fix
+
+
+@pytest.mark.parametrize(("factor", "words"), [(1 / 25.4, "inches, written as mm"), (1e-3, "metres, written as mm")])
+def test_units_that_differ_by_session_are_named(factor, words):
+    rows, (found,) = _tracked(lambda places, session: np.where(session[:, None] == "1", 1.0, factor) * places)
+    assert (found.severity, found.about) == ("error", "unit by session")
+    several = len(rows.labels["session"].names) > 2
+    assert f"where session is {'not ' if several else ''}'{'1' if several else '2'}' seem to be {words}" in found.cause
+
+
+def test_a_place_that_comes_twice_by_chance_accuses_nobody():
+    def twice(places, _):
+        places[7] = places[3]
+        return places
+
+    assert not _tracked(lambda places, _: places)[1]
+    assert [found.about for found in _tracked(twice)[1]] == ["outliers"]  # one row, which may be anything
