@@ -18,8 +18,9 @@ from casacal.model import kinematics
 def test_an_earlier_name_works_and_says_where_it_went(earlier, name, home):
     assert earlier in EARLIER
     module = importlib.import_module(f"casacal.{earlier}")
-    with pytest.warns(DeprecationWarning, match=f"casacal.{earlier} is now {home}: take '{name}' from there"):
+    with pytest.warns(DeprecationWarning, match=f"casacal.{earlier} is now {home}: take '{name}' from there") as caught:
         found = getattr(module, name)
+    assert caught[0].filename == __file__
     assert found is getattr(importlib.import_module(home), name)
     with pytest.raises(AttributeError):
         module.__no_such_thing__  # noqa: B018

@@ -167,3 +167,8 @@ def test_five_hundred_calibrations_on_eight_threads(hsr, backend):
         found = list(pool.map(job, range(500)))
     alone = [job(k) for k in range(20)]
     assert [k for k in range(500) if found[k] != alone[k % 20]] == []
+
+
+def test_threads_that_are_asked_for_count_more_than_the_environment(monkeypatch):
+    monkeypatch.setenv("CASACAL_THREADS", "2")
+    assert thread_count(3) == 3

@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import math
 import os
 import pickle
 import subprocess
@@ -29,6 +30,7 @@ from casacal import (
     simulate,
 )
 from casacal.model.kinematics import chain, rotate_z, translate_x
+from casacal.values import alike
 
 FOLDERS = sorted(path.parent for path in (ROOT / "problems").glob("*/problem.py"))
 
@@ -248,3 +250,8 @@ def test_a_study_of_values_needs_no_file_for_its_workers(hsr, tmp_path):
     closure = Study("closure", {"corner": setting}, {"LM": lambda problem: lm(problem)}, trials=2)
     with pytest.raises(StudyError, match="Write it to a file"):
         run(closure, tmp_path / "closure", workers=2)
+
+
+def test_what_is_not_known_is_alike():
+    assert alike({"a": (math.nan, 1)}, {"a": (float("nan"), 1)})
+    assert not alike({"a": (math.nan, 1)}, {"a": (0.0, 1)})

@@ -30,7 +30,7 @@ MOST_FITS = 12  # patterns that are fitted, the simplest first
 
 
 def mirror_image(fit: BoundProblem) -> MirrorImage | None:
-    """The simplest other conventions whose cost is the same to within EQUAL and whose arm is a mirror image.
+    """The simplest other conventions whose cost is the same to within EQUAL, or lower, and whose arm is a mirror image.
 
     None where there is none: an instrument that sees poses, say, or joint limits, tell them apart.
     """
@@ -42,7 +42,7 @@ def mirror_image(fit: BoundProblem) -> MirrorImage | None:
         if math.isnan(least):
             least = lm(fit).cost
         image = lm(fit.on(*turned))
-        if image.converged and abs(image.cost - least) <= EQUAL:
+        if image.converged and image.cost - least <= EQUAL:
             numbers = np.arange(1, len(signs) + 1)
             return MirrorImage(tuple(numbers[signs < 0].tolist()), tuple(numbers[offsets > 0].tolist()), off)
     return None

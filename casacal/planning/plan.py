@@ -205,7 +205,7 @@ def _by_label(rows: Index, labels: Labels, first: str | None) -> Index:
     """Rows in an order in which their labels take turns, after three of the `first`, which say where a plane is."""
     codes = labels.codes[rows]
     turn = np.array([(codes[:k] == code).sum() for k, code in enumerate(codes)])
-    turn -= 2 * np.array([labels.names[code] == first for code in codes])
+    turn = turn - 2.5 * np.array([labels.names[code] == first for code in codes])
     return rows[np.argsort(turn, kind="stable")]
 
 

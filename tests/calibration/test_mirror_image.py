@@ -215,3 +215,13 @@ def test_in_python_the_question_is_answered_by_an_argument():
     assert earlier.mirror_image.reversed == (1, 4, 6)
     later = calibrate(source.problem, samples.take(np.arange(60, 120)), prior=earlier, reference=False)
     assert later.mirror_image == earlier.mirror_image
+
+
+def test_an_image_that_fits_better_is_named_too():
+    """Rows of an arm whose elbow is a little aside, with the joints counted otherwise than the problem has them."""
+    fit = bound(six(d=(450.0, 0.0, 4.0, 640.0, 0.0, 100.0)))
+    signs = np.array([-1, 1, 1, -1, 1, -1])
+    turned = fit.on(*(replace(some, joints=some.joints * signs) for some in fit.measured.sets))
+    assert lm(turned).cost > lm(fit).cost + 12
+    assert mirror_image(fit) is None
+    assert mirror_image(turned).reversed == (1, 4, 6)

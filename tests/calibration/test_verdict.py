@@ -35,7 +35,7 @@ from casacal.calibration.finding import Finding
 from casacal.calibration.inputs import Reference
 from casacal.calibration.set_aside import gross
 from casacal.calibration.summary import MOST_LINES, best_cure, brief, next_step
-from casacal.calibration.verdict import verdict_of, warnings
+from casacal.calibration.verdict import most_turned, verdict_of, warnings
 from casacal.cli.main import main
 from casacal.data.columns import Labels
 from casacal.data.samples import write_samples
@@ -742,7 +742,12 @@ def test_a_tool_from_touches_of_one_orientation_is_refused():
     assert refused.verdict.level == "do not use"
     assert "the tip would err by" in refused.verdict.words
     (reason,) = refused.verdict.reasons
-    assert re.search(r"hardly show .*tool_z.*These postures turn the tool by at most 0\.0\d+ degrees", reason)
+    first, shown = re.search(r"hardly show ([\w.]+),.*turn the tool by at most (\S+) degrees", reason).groups()
+    assert float(shown) == pytest.approx(math.degrees(most_turned(refused.fit)), rel=0.1)
+    assert 0.02 < float(shown) < 0.1
+    fitted = refused.result
+    sizes = {n: fitted.covariance[j, j] for n, unit, _, j in refused.fit.parameters() if j is not None and unit == "mm"}
+    assert first == max(sizes, key=sizes.get)
     good = calibrate(*_spike_touched_with_the_wrist_held(0.7), reference=False)
     assert good.verdict.level != "do not use"
     assert abs(good.result.x[2] - 380) < 1

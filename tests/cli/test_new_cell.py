@@ -74,6 +74,9 @@ def test_without_plates_some_are_proposed_above_the_table_and_marked(made, capsy
     assert all(face.lowest >= -200 for face in source.cell.faces)
     assert source.cell.faces[0].centre[0] > 0
     assert "TO FILL IN: these" in (place / "problem.py").read_text(encoding="utf-8")
+    low, there = made("low", "--table", "-100")
+    assert low == 0
+    assert len(load_problem(there).cell.faces) == 3
     bare, plain = made("bare")
     assert bare == 0
     assert load_problem(plain).cell is None

@@ -422,6 +422,7 @@ def test_the_command_prints_a_block_that_composes(tmp_path, capsys):
         ("q1,q2,q3,q4,q5,q6,q7,x,y,z,a,b,c", "1,2,3,4,5,6,7,1,2,3,4,5,6", [], "the robot has 6 joints"),
         ("q1,q2,q3,q4,q5,q6,x,y,z,a,b", "1,2,3,4,5,6,1,2,3,4,5", [], "there is no orientation"),
         ("q1,q2,q3,q4,q5,q6,x,y,z,qw,qx,qy,qz", "1,2,3,4,5,6,1,2,3,2,0,0,0", [], "the quaternion has the length 2"),
+        ("q1,q2,q3,q4,q5,q6,x,y,z,qw,qx,qy,qz", "1,2,3,4,5,6,1,2,3,.5,0,0,0", [], "the quaternion has the length 0.5"),
         ("q1_deg,q2_rad,q3,q4,q5,q6,x,y,z,a,b,c", "1,2,3,4,5,6,1,2,3,4,5,6", [], "state different units"),
         ("q1,q1_deg,q2,q3,q4,q5,q6,x,y,z,a,b,c", "1,1,2,3,4,5,6,1,2,3,4,5,6", [], "'q1' and 'q1_deg' both give q1"),
         ("q1,q2,q3,q4,q5,q6,x,y,z,a,b,c", "1,2,3,4,5,6,1,2,3,4,5,x", [], "'x' is not a finite number"),

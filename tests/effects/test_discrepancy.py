@@ -471,3 +471,11 @@ def test_geometry_and_effects_err_by_what_their_covariance_says(hsr, clean):
     for name, total in found.items():
         low, high = chi2.ppf([0.025 / 3, 1 - 0.025 / 3], freedom[name])
         assert low < total < high, name
+
+
+def test_backlash_goes_by_the_lines_of_the_file_whatever_the_order_of_rows(hsr, corner_simulation):
+    rows = corner_simulation.samples
+    shuffled = rows.take(np.random.default_rng(0).permutation(len(rows)))
+    one, other = (bind(hsr.problem.with_terms(Backlash()), each) for each in (rows, shuffled))
+    x = one.x0 + 0.5 * one.start_std
+    assert np.sort(other.residual(x)) == pytest.approx(np.sort(one.residual(x)))

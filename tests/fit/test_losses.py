@@ -219,3 +219,16 @@ def test_the_command_takes_it(hsr, capsys):
     err = capsys.readouterr().err
     assert err.count("\n") <= 2
     assert "takes no loss" in err
+
+
+def test_the_worth_of_rows_under_huber_is_that_of_its_definition():
+    """Asymptotic efficiency E[psi']^2 / E[psi^2], over the mean weight, of a fifth of gross rows."""
+    r = np.random.default_rng(0).normal(size=200_000) * np.where(np.arange(200_000) % 5, 1, 20)
+    w, inside = np.minimum(1, 1.345 / np.abs(r)), np.abs(r) < 1.345
+    meant = inside.mean() ** 2 / ((w * r) ** 2).mean() / w.mean()
+    assert worth_under(huber(), r) == pytest.approx(meant, rel=1e-3)
+
+
+def test_a_start_that_is_given_is_where_a_loss_begins(corner_bound):
+    far = corner_bound.x0 + 0.1 * corner_bound.start_std
+    assert lm(corner_bound, start=far, loss=tukey(), max_steps=0).x == pytest.approx(far)

@@ -1,6 +1,7 @@
 """The cache of compiled kernels and compilers of every kind: what was compiled is loaded, and nothing else ever is."""
 
 import ctypes
+import dataclasses
 import logging
 import os
 import shutil
@@ -324,3 +325,13 @@ def test_a_library_that_loads_no_more_is_compiled_anew(counted, monkeypatch):
     monkeypatch.setattr(libraries.ctypes, "CDLL", load)
     assert answer() == 7
     assert compiled() == 2
+
+
+def test_a_library_of_another_compiler_is_built_anew(monkeypatch, tmp_path):
+    monkeypatch.setenv("CASACAL_CACHE", str(tmp_path / "cache"))
+    chosen, built = libraries.compiler(), []
+    for version in ("1.0", "1.0", "2.0"):
+        monkeypatch.setattr(libraries, "compiler", lambda v=version: dataclasses.replace(chosen, version=v))
+        libraries.load_library("int answer(void) { return 7; }\n", ("answer",))
+        built.append(len(list((tmp_path / "cache").glob(f"*{libraries.SUFFIX}"))))
+    assert built == [1, 1, 2]

@@ -13,11 +13,12 @@ from instruments_on_ur5 import PROBLEMS
 
 from casacal import CasacalError, bind, calibrate, load_problem, simulate
 from casacal.cli.main import main
+from casacal.data.columns import Labels
 from casacal.linalg import posterior_covariance
 from casacal.model.robot import AXIS_WEIGHT
 from casacal.planning.candidates import pool_of
 from casacal.planning.choice import Choice
-from casacal.planning.plan import kept_to_verify, plan, plan_text, touches_for
+from casacal.planning.plan import _by_label, kept_to_verify, plan, plan_text, touches_for
 from casacal.planning.route import AGAIN, CHECK, FIT, read_route, shortest_way
 from casacal.planning.set_ups import SetUp, worth_most
 from casacal.uncertainty.tip_error import (
@@ -414,3 +415,8 @@ def test_a_set_up_that_is_hardly_better_is_not_offered(hsr):
     assert worth_most([as_it_is, better]) is None
     best, now = worth_most([as_it_is, dataclasses.replace(better, error=0.5)])
     assert (best.words, now.words) == ("other", "now")
+
+
+def test_touches_to_verify_take_turns_by_label_after_three_of_the_face_itself():
+    assert _by_label(np.arange(8), Labels.of("abababab"), "a").tolist() == [0, 2, 4, 1, 6, 3, 5, 7]
+    assert _by_label(np.array([1, 0, 3]), Labels.of("abab"), "a").tolist() == [0, 1, 3]

@@ -524,3 +524,13 @@ def test_the_evidence_of_rows_is_their_density_with_the_arm_integrated_out():
     dense = multivariate_normal(cov=np.eye(10) + flat @ flat.T).logpdf(r.ravel() - flat @ mean)
     told = LinearRows(r, slope, np.ones((5, 2))).posterior(mean)
     assert told.evidence == pytest.approx(dense + 5 * math.log(2 * math.pi), rel=1e-12)
+
+
+def test_a_turn_of_the_pointer_is_forgotten_or_too_many():
+    source = load_problem(ROOT / "problems" / "hsr_jr680")
+    rows = source.problem.read(source.samples)
+    touch = replace(Touch.of(rows.take(np.array([0])), 0, None, "fit"), columns={"reading": 5.0})
+    turned = [each for each in slips_of(source.problem, touch, None, {}) if each.kind == "revolution"]
+    assert turned
+    for slip in turned:
+        assert ("forgotten" in slip.words) == (slip.touch.columns["reading"] > 5.0)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 from linear import Matrix
+from scipy.stats import t as student
 
 from casacal import (
     Distance,
@@ -237,3 +238,24 @@ def test_an_arm_that_is_warm_is_no_wrong_scale():
     assert seen.chance < 1e-4
     assert seen.part == pytest.approx(5e-4, rel=0.1)
     assert not found.instrument_findings
+
+
+def test_the_chance_of_a_common_scale_is_students_with_one_freedom_less():
+    """Five moves that are as good as known, regressed on the lengths by hand."""
+
+    class Few(LinkLengths):
+        unknowns, lengths = 5, np.array([600.0, 500.0, 200.0])
+
+        def parameters(self):
+            yield from ((f"l{j}", "mm", x, j) for j, x in enumerate(self.lengths))
+            yield from ((f"t{j}", "rad", 0.0, 3 + j) for j in range(2))
+
+    prior, lengths = np.array([0.7] * 3 + [1e-3] * 2), np.array([600.0, 500.0, 200.0, 0, 0])
+    a = np.diag(1 / prior) * 1e4
+    x = prior * np.array([1.5, 0.9, -0.4, 0.8, -0.6])
+    covariance = np.linalg.inv(a.T @ a + np.diag(prior**-2.0))
+    z, v = x / prior, lengths / prior
+    slope = z @ v / (v @ v)
+    size = slope / np.sqrt(((z - slope * v) ** 2).sum() / 4 / (v @ v))
+    found = common_scale(Few(a, a @ x, np.zeros(5), prior), x, covariance)
+    assert found.chance == pytest.approx(2 * student.sf(abs(size), 4), rel=0.02)
