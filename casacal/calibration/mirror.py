@@ -26,6 +26,7 @@ MOST_PATTERNS = 1 << 15  # beyond which half turns are left out: two arms that f
 AKIN = 0.01  # misfit of the image over the spread of the tips, below which parameters may make up for the rest
 APART = 1.0  # mm by which a rigid motion must miss the image; an arm in a plane is its own
 EQUAL = 12.0  # difference of the costs below which rows and priors do not tell one from the other: odds of e^12
+MOST_ROWS = 1000  # of the samples that are fitted: an image fits as well, or is off by thousands
 MOST_FITS = 12  # patterns that are fitted, the simplest first
 
 
@@ -34,7 +35,7 @@ def mirror_image(fit: BoundProblem) -> MirrorImage | None:
 
     None where there is none: an instrument that sees poses, say, or joint limits, tell them apart.
     """
-    robot, least = fit.problem.robot, math.nan
+    fit, robot, least = fit.thinned(MOST_ROWS), fit.problem.robot, math.nan
     for signs, offsets, off in _images(fit):
         turned = [replace(some, joints=some.joints * signs + offsets) for some in fit.measured.sets]
         if not all(inside_limits(robot, some.joints).all() for some in turned):
