@@ -42,9 +42,9 @@ class Calibrated(WithVerdict, AsArm):
     """
 
     @cached_property
-    def unjudged(self) -> Calibration:
+    def unjudged(self) -> WithVerdict:
         """The calibration with every figure, whatever the verdict; the verdict itself is computed from it."""
-        return Calibration(**{field.name: getattr(self, field.name) for field in fields(Calibration)})
+        return WithVerdict(**{field.name: getattr(self, field.name) for field in fields(Calibration)})
 
     @property
     def passed(self) -> bool:

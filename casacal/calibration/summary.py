@@ -135,7 +135,7 @@ def brief(
     tail = [] if denied else [*expected, _residual(calibration)]
     stated = verdict.words.lower()
     image = [] if denied or calibration.mirror_image is None else [calibration.mirror_image.words]
-    others = [*image, *(reason for reason in verdict.reasons if reason.lower() not in stated)]
+    others = [*(reason for reason in verdict.reasons if reason.lower() not in stated), *image]
     above = _wrapped(head, width)
     cure = "" if denied else best_cure(calibration)
     first = verdict.level == "calibrated" and cure  # a doubt is settled first
@@ -225,7 +225,7 @@ def summary(calibration: WithVerdict, name: str) -> str:
     """Plain text of many lines; figures of accuracy are left out when the verdict denies them."""
     verdict, denied = calibration.verdict, calibration.denied
     image = [] if denied or calibration.mirror_image is None else [calibration.mirror_image.words]
-    reasons = (f"- {reason}" for reason in [*image, *verdict.reasons])
+    reasons = (f"- {reason}" for reason in [*verdict.reasons, *image])
     parts = [
         _opening(calibration, name),
         "\n".join([*verdict_lines(calibration, verdict), *reasons]),

@@ -66,7 +66,7 @@ def heard(run: Callable[[], int]) -> int:
 
 GROUPS = {
     "describe the arm": ("new", "doctor"),
-    "measure": ("plan", "measure", "check"),
+    "plan and measure": ("plan", "measure", "check"),
     "calibrate": ("calibrate", "verify", "changed"),
     "use the calibrated arm": ("predict", "compensate", "export"),
     "simulate and compare": ("simulate", "demo", "study", "bench"),

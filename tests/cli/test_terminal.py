@@ -81,7 +81,7 @@ def test_json_is_all_there_is(capsys, place, tmp_path):
         for part in (document["problem"], *document["problem"]["files"]):
             assert part.pop("path").endswith("hsr_jr680/problem.py")
     assert found["calibrate"] == kept
-    assert found["check"]["counts"] == {"error": 0, "warning": 0, "remark": 1}
+    assert found["check"]["counts"] == {"error": 0, "warning": 0, "remark": 2}
     assert found["check"]["findings"][0]["about"] == "no length was measured"
     assert found["simulate"]["written"] == [(tmp_path / name).as_posix() for name in ("s.csv", "s.truth.json")]
     assert found["simulate"]["tip"]["after_rms_mm"] < found["simulate"]["tip"]["before_rms_mm"]
