@@ -302,7 +302,7 @@ FARTHEST = 1e5  # mm or rad beyond which a number of an arm wandered off; result
 TOO_LOOSE = 1e-3
 """Chance below which a drawn arm that misses so little contradicts its priors, and these must not decide."""
 
-USELESS = 10.0  # mm; an arm as drawn errs by less, so a tip that is known no better is not calibrated
+USELESS = 20.0  # mm; an arm as drawn and a tool held against a rule err by less, so such a tip is not calibrated
 LITTLE_TURNED = 20.0  # degrees between postures below which a tool is hardly seen
 
 MEMBER = 1e-3

@@ -97,7 +97,7 @@ def test_a_carrier_may_be_carried_either_way():
 @pytest.mark.long
 def test_the_command_line_takes_an_arm_on_a_rail(tmp_path, capsys):
     (tmp_path / "problem.py").write_text(
-        "from casacal import Problem, TrackedPoint, carried, load_problem, rail, tool_point\n"
+        "from casacal import Problem, TrackedPoint, load_problem, tool_point\nfrom casacal.model import carried, rail\n"
         f"arm = load_problem({str(ROOT / 'problems' / 'ur5')!r}).problem.robot\n"
         "tracker = TrackedPoint(noise_std=0.03, tool=tool_point(0, 0, 100, prior_std=1.0))\n"
         "problem = Problem(carried(arm, by=rail(0, 1500)), tracker)\n"

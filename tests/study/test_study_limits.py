@@ -99,7 +99,7 @@ def test_a_process_for_each_trial_makes_the_same_records(tmp_path):
 def test_what_a_short_limit_ended_is_tried_again_with_a_longer_one(tmp_path, monkeypatch):
     slow = tmp_path / "slow_study.py"
     slow.write_text(
-        "import time\nfrom tiny_study import Linear\nfrom casacal import Study, lm\n"
+        "import time\nfrom tiny_study import Linear\nfrom casacal import lm\nfrom casacal.study import Study\n"
         "def slow(problem):\n    open('slow', 'a').write('x')\n    time.sleep(0.8)\n    return lm(problem)\n"
         "def broken(problem):\n    open('ran', 'a').write('x')\n    raise ZeroDivisionError\n"
         "study = Study('slow', {'one': Linear()}, {'slow': slow, 'broken': broken}, trials=1)\n"
@@ -138,7 +138,7 @@ def test_a_trial_that_cannot_be_made_in_time_fails_every_method_at_once(tmp_path
     monkeypatch.chdir(tmp_path)
     file = tmp_path / "stuck_study.py"
     file.write_text(
-        "import os, time\nfrom casacal import Study, lm, ekf\n"
+        "import os, time\nfrom casacal import lm, ekf\nfrom casacal.study import Study\n"
         "class Stuck:\n    def trial(self, seed):\n        time.sleep(60)\n"
         "class Gone:\n    def trial(self, seed):\n        open('tried', 'a').write('x')\n        os._exit(4)\n"
         "study = Study('stuck', {'stuck': Stuck(), 'gone': Gone()}, {'a': lm, 'b': ekf}, trials=1)\n"
@@ -168,7 +168,7 @@ def test_what_a_method_started_ends_with_it(tmp_path, monkeypatch):
 def test_an_interrupted_run_leaves_no_process_and_goes_on(tmp_path, how):
     file = tmp_path / "napping_study.py"
     file.write_text(
-        "import os, time\nfrom pathlib import Path\nfrom tiny_study import Linear\nfrom casacal import Study, lm\n"
+        "import os, time\nfrom pathlib import Path\nfrom tiny_study import Linear\nfrom casacal import lm\nfrom casacal.study import Study\n"
         "def naps(problem):\n    Path('pid').write_text(str(os.getpid()))\n"
         "    time.sleep(0 if Path('awake').exists() else 60)\n    return lm(problem)\n"
         "study = Study('napping', {'one': Linear()}, {'lm': lm, 'naps': naps}, trials=1)\n"
@@ -203,7 +203,7 @@ def test_limits_need_processes_of_this_machine_that_know_the_study(tmp_path):
     with pytest.raises(StudyError, match="cannot be given to workers"):
         run(lone(lambda problem: problem.x0), tmp_path, timeout=1.0)
     file = tmp_path / "other_study.py"
-    file.write_text("from tiny_study import Linear\nfrom casacal import Study, ekf\n"
+    file.write_text("from tiny_study import Linear\nfrom casacal import ekf\nfrom casacal.study import Study\n"
                     "study = Study('lone', {'one': Linear()}, {'m': ekf}, trials=1)\n"
                     "def report(run):\n    return []\n")  # fmt: skip
     with pytest.raises(Exception, match="A worker has another study file"):
