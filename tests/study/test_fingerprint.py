@@ -94,7 +94,8 @@ def test_a_users_instrument_tells_by_its_methods(hsr):
 @pytest.mark.long
 def test_another_process_finds_the_same():
     program = (
-        "from casacal import load_problem, lm\nfrom casacal.simulation import Simulated\nfrom casacal.study.description import *\n"
+        "from casacal import load_problem, lm\nfrom casacal.simulation import Simulated\n"
+        "from casacal.study.description import *\n"
         "s = load_problem('problems/hsr_jr680')\n"
         "print(fingerprint([Simulated(s.problem, s.cell), lm, {1, 2, 'x'}]), code_fingerprint())"
     )

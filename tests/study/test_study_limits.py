@@ -168,7 +168,8 @@ def test_what_a_method_started_ends_with_it(tmp_path, monkeypatch):
 def test_an_interrupted_run_leaves_no_process_and_goes_on(tmp_path, how):
     file = tmp_path / "napping_study.py"
     file.write_text(
-        "import os, time\nfrom pathlib import Path\nfrom tiny_study import Linear\nfrom casacal import lm\nfrom casacal.study import Study\n"
+        "import os, time\nfrom pathlib import Path\nfrom tiny_study import Linear\n"
+        "from casacal import lm\nfrom casacal.study import Study\n"
         "def naps(problem):\n    Path('pid').write_text(str(os.getpid()))\n"
         "    time.sleep(0 if Path('awake').exists() else 60)\n    return lm(problem)\n"
         "study = Study('napping', {'one': Linear()}, {'lm': lm, 'naps': naps}, trials=1)\n"
