@@ -5,6 +5,7 @@ import io
 import json
 import re
 import shlex
+import subprocess
 from importlib import import_module
 
 import matplotlib.pyplot as plt
@@ -162,6 +163,15 @@ def test_the_page_of_public_names_is_what_is_exported():
     for module, row in re.findall(r"^\| `(casacal\.[\w.]+)` \| (.*) \|$", modules, re.M):
         for name in re.findall(r"`(\w+)`", row.split(":")[0]):
             assert hasattr(import_module(module), name), f"{module}.{name}"
+
+
+def test_the_top_of_the_project_holds_what_belongs_there():
+    """A run that wrote into the folder of the project was once kept with it."""
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=False)
+    if listed.returncode:
+        pytest.skip("no checkout of git")
+    folders = {name.partition("/")[0] for name in listed.stdout.splitlines() if "/" in name}
+    assert folders == {".ci", ".github", "casacal", "docs", "problems", "studies", "tests"}
 
 
 def test_the_architecture_page_lists_the_packages_in_their_order():

@@ -155,7 +155,7 @@ def check(problem: Problem, samples: Samples | Measurements, *, confirmed: bool 
         if not isinstance(samples, Measurements) or samples.names != problem.names:
             fix = f"Give Measurements of {', '.join(problem.names)}"
             raise CasacalError("The samples are not those of the problem's instruments", fix)
-        return _in_order(_of_several(problem, samples))
+        return _in_order(_of_several(problem, samples, confirmed))
     samples = Measurements.of(samples).sets[0]
     findings = [*repeated(samples), *outside(problem, samples)]
     findings += [*absent_labels(problem, samples), *odd_labels(problem, samples), *lost_steps(problem, samples)]
@@ -184,11 +184,11 @@ def check(problem: Problem, samples: Samples | Measurements, *, confirmed: bool 
     if quick is not None:
         fitted = quick[0], quick[1].x, quick[1].covariance
         findings += [*tool_elsewhere_at(*fitted), *wrong_scale(*fitted)]
-    findings += [*_invisible_flips(problem, few, base), *_rows(bind(problem, good))]
+    rest = bind(problem, good)
+    findings += [*_invisible_flips(problem, few, base), *_rows(rest)]
     if all(finding.severity != "error" for finding in findings):
         findings += effect_findings(problem, few)
-        if not confirmed and (image := mirror_image(bind(problem, good))) is not None:
-            findings.append(Finding("remark", "mirror image", *image.cause_and_fix))
+        findings += [] if confirmed else _image(rest)
     return _in_order(findings)
 
 
@@ -295,14 +295,20 @@ OF_ALL = ("few rows", NO_LENGTH)
 """Findings that concern all instruments together: what one cannot observe, another may."""
 
 
-def _of_several(problem: Problem, measured: Measurements) -> list[Finding]:
+def _image(bound: BoundProblem) -> list[Finding]:
+    """A remark where a mirror image of the arm explains all rows as well."""
+    image = mirror_image(bound)
+    return [] if image is None else [Finding("remark", "mirror image", *image.cause_and_fix)]
+
+
+def _of_several(problem: Problem, measured: Measurements, confirmed: bool) -> list[Finding]:
     """Findings on each instrument's samples, and on all together.
 
     An instrument whose rows cannot be fitted without the others is looked at row by row alone.
     """
     found = list[Finding]()
     for alone in each_alone(problem, measured.sets):
-        of_it = [each for each in check(alone.problem, alone.samples) if each.about not in OF_ALL]
+        of_it = [each for each in check(alone.problem, alone.samples, confirmed=True) if each.about not in OF_ALL]
         fixes = [each.fix.replace("--set ", f"--set {alone.name}.") for each in of_it]
         found += [replace(each, instrument=alone.name, fix=fix) for each, fix in zip(of_it, fixes, strict=True)]
     try:
@@ -314,4 +320,5 @@ def _of_several(problem: Problem, measured: Measurements) -> list[Finding]:
     found += enough_rows(bound)
     if all(finding.severity != "error" for finding in found):
         found += contradictions(bound, measured)
+        found += [] if confirmed else _image(bound)  # what one instrument alone leaves open, another may tell
     return found

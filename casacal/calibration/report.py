@@ -14,7 +14,7 @@ from casacal.calibration.calibration import Calibration
 from casacal.calibration.motion import Tried, tip_extremes
 from casacal.calibration.report_pictures import LOOKED_AT, Part, Touches, face_maps, histograms, row_plots
 from casacal.calibration.result_parts import closing as closing_part
-from casacal.calibration.result_parts import geometry, noise_part, parameter_rows, verdict_lines
+from casacal.calibration.result_parts import geometry, image_words, noise_part, parameter_rows, verdict_lines
 from casacal.calibration.verdict import WithVerdict
 from casacal.deployment.result import Level
 from casacal.effects.selection import VERY_STRONG
@@ -289,7 +289,7 @@ def report_page(
         "unknowns": f"{calibration.fit.unknowns:,}",
         "look": LOOKS[verdict.level],
         "verdict_lines": verdict_lines(calibration, verdict),
-        "image": "" if denied or calibration.mirror_image is None else calibration.mirror_image.words,
+        "image": image_words(calibration, verdict),
         "figures": _figures(calibration),
         "measured": [measured(touches, planes) for touches in each],
         "residuals": tables.residuals(calibration),

@@ -112,6 +112,12 @@ def verdict_lines(calibration: Calibration, verdict: Verdict) -> list[str]:
     ]
 
 
+def image_words(calibration: Calibration, verdict: Verdict) -> list[str]:
+    """A sentence on the mirror image that the rows do not exclude; none where there is none, or nothing may be used."""
+    image = None if verdict.level == "do not use" else calibration.mirror_image
+    return [] if image is None else [image.words]
+
+
 _LOG = logging.getLogger("casacal")
 
 

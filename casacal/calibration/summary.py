@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from casacal.calibration import tables
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.result_parts import verdict_lines
+from casacal.calibration.result_parts import image_words, verdict_lines
 from casacal.calibration.verdict import (
     VERIFY,
     WithVerdict,
@@ -134,8 +134,8 @@ def brief(
     head = [_subject(calibration), *verdict_lines(calibration, verdict)]
     tail = [] if denied else [*expected, _residual(calibration)]
     stated = verdict.words.lower()
-    image = [] if denied or calibration.mirror_image is None else [calibration.mirror_image.words]
-    others = [*(reason for reason in verdict.reasons if reason.lower() not in stated), *image]
+    others = [reason for reason in verdict.reasons if reason.lower() not in stated]
+    others += image_words(calibration, verdict)
     above = _wrapped(head, width)
     cure = "" if denied else best_cure(calibration)
     first = verdict.level == "calibrated" and cure  # a doubt is settled first
@@ -224,8 +224,7 @@ PLANNED = (
 def summary(calibration: WithVerdict, name: str) -> str:
     """Plain text of many lines; figures of accuracy are left out when the verdict denies them."""
     verdict, denied = calibration.verdict, calibration.denied
-    image = [] if denied or calibration.mirror_image is None else [calibration.mirror_image.words]
-    reasons = (f"- {reason}" for reason in [*verdict.reasons, *image])
+    reasons = (f"- {reason}" for reason in [*verdict.reasons, *image_words(calibration, verdict)])
     parts = [
         _opening(calibration, name),
         "\n".join([*verdict_lines(calibration, verdict), *reasons]),

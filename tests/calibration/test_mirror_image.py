@@ -205,6 +205,17 @@ def test_it_is_said_until_poses_off_the_pendant_settle_it(place, capsys):
     kept.unlink()
 
 
+def test_an_image_that_one_of_several_instruments_excludes_is_none():
+    """The dial alone would fit the image; the tracker on the same arm does not."""
+    source = load_problem(ROOT / "problems" / "ur5_three_instruments")
+    names = source.problem.names
+    sets = tuple(source.problem.read(source.samples_of(k), k) for k in range(len(names)))
+    samples = Measurements(names, sets)
+    assert "mirror image" not in [found.about for found in check(source.problem, samples)]
+    dial = source.problem.measured_by("dial")
+    assert "mirror image" in [found.about for found in check(dial, sets[names.index("dial")])]
+
+
 def test_in_python_the_question_is_answered_by_an_argument():
     source = load_problem(ROOT / "problems" / "hsr_jr680")
     samples = source.problem.read(source.samples)
