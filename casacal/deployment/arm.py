@@ -90,7 +90,7 @@ class CalibratedArm(Value):
     def mirror_words(self) -> str | None:
         """What is open where the samples fit a mirror image of the arm as well; None where nothing is."""
         image = self.found.mirror_image
-        return None if image is None or self.denial is not None else image.words
+        return None if image is None else image.words
 
     def check_usable(self, *, force: bool) -> None:
         """Raise RefusedResultError for a result whose verdict is not to use it, unless that is wanted all the same."""

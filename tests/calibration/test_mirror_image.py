@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from casacal import (
     DialOnPlane,
+    FixedPoint,
     Joint,
     Problem,
     Robot,
@@ -212,8 +213,26 @@ def test_an_image_that_one_of_several_instruments_excludes_is_none():
     sets = tuple(source.problem.read(source.samples_of(k), k) for k in range(len(names)))
     samples = Measurements(names, sets)
     assert "mirror image" not in [found.about for found in check(source.problem, samples)]
+    both = Problem(six().robot, {"dial": six().instrument, "spike": FixedPoint(noise_std=0.05, tool=TOOL)})
+    rows = simulate(both, samples=60, seed=2).measured
+    assert "mirror image" in [found.about for found in check(both, rows)]
+    assert "mirror image" not in [found.about for found in check(both, rows, confirmed=True)]
     dial = source.problem.measured_by("dial")
     assert "mirror image" in [found.about for found in check(dial, sets[names.index("dial")])]
+
+
+def test_of_a_result_that_must_not_be_used_nothing_is_said(tmp_path, capsys):
+    words = ["calibrate", str(ROOT / "problems" / "hsr_jr680"), "--set", "sign=-1", "--out", str(tmp_path / "out")]
+    assert main(words) == 1
+    assert main([*words[:-2], "--verbose"]) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Do not use" in said
+    assert not re.search(SAID, said, re.I)
+    assert not re.search(SAID, (tmp_path / "out" / "report.html").read_text(encoding="utf-8"), re.I)
+    assert json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))["mirror_image"] is None
+    source = load_problem(ROOT / "problems" / "hsr_jr680")
+    wrong = source.problem.with_settings({"sign": -1})
+    assert mirror_image(bind(wrong, wrong.read(source.samples))) is not None  # so there would be something to say
 
 
 def test_in_python_the_question_is_answered_by_an_argument():

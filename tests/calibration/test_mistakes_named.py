@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -269,6 +270,20 @@ def test_units_that_differ_by_session_are_named(factor, words):
     assert (found.severity, found.about) == ("error", "unit by session")
     several = len(rows.labels["session"].names) > 2
     assert f"where session is {'not ' if several else ''}'{'1' if several else '2'}' seem to be {words}" in found.cause
+
+
+def test_a_device_that_did_not_follow_is_named_by_the_rows_that_repeat_another():
+    """Of two rows with one place the first was measured."""
+
+    def stale(places, _):
+        places[2::3] = places[1::3]
+        return places
+
+    rows, (found,) = _tracked(stale)
+    assert found.about == "lost target"
+    kept = re.search(r"lines ([\d, ]+?)(?:,? and \d+ more)? hold", found.cause)[1]
+    named = {int(line) for line in kept.split(",")}
+    assert named <= {rows.lines[k] for k in range(2, len(rows), 3)}
 
 
 def test_a_place_that_comes_twice_by_chance_accuses_nobody():
