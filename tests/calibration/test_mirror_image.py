@@ -29,6 +29,7 @@ from casacal import (
     tool_point,
 )
 from casacal.calibration.mirror import mirror_image, misfits, patterns
+from casacal.calibration.result_parts import image_words
 from casacal.cli.main import main
 from casacal.data.samples import Measurements
 from casacal.errors import ProblemError
@@ -243,6 +244,8 @@ def test_in_python_the_question_is_answered_by_an_argument():
     assert "mirror image" not in [each.about for each in check(source.problem, samples, confirmed=True)]
     earlier = calibrate(source.problem, samples.take(np.arange(60)), reference=False)
     assert earlier.mirror_image.reversed == (1, 4, 6)
+    assert image_words(earlier, earlier.verdict) == [earlier.mirror_image.words]
+    assert image_words(earlier, replace(earlier.verdict, level="do not use")) == []
     later = calibrate(source.problem, samples.take(np.arange(60, 120)), prior=earlier, reference=False)
     assert later.mirror_image == earlier.mirror_image
 
