@@ -33,9 +33,11 @@ from casacal.fit.least_squares import Result
 from casacal.fit.lm import lm
 from casacal.fit.methods import METHODS
 from casacal.kernels.losses import Loss
+from casacal.linalg import posterior_covariance
 from casacal.model.problem import Problem
 from casacal.model.problem_file import ProblemFile
 from casacal.uncertainty.noise import found_noise
+from casacal.wording import shortened
 
 if TYPE_CHECKING:
     from casacal.calibration.earlier import RowsSince
@@ -205,10 +207,26 @@ def _bound(
         least = -(-bare.unknowns * len(bare.measured) // bare.rows)
         fix = f"Take at least {least} samples, better twice as many, hold fewer out, or hold parameters with --fix"
         raise SamplesError(bare.measured.file, f"{bare.rows} rows are fitted for {bare.unknowns} unknowns", fix)
+    _refuse_unheld(bare)
     bad, found = gross(bare) if aside else (np.zeros(0, dtype=bool), ())
     if bad.any():
         bare = bind(bare.problem, *rows.take(np.flatnonzero(~bad)).sets, backend=backend, threads=threads)
     return bare, found
+
+
+TRIED = 100  # steps within which a fit of an arm ends, twenty times what it needs, unless nothing holds its unknowns
+
+
+def _refuse_unheld(bare: BoundProblem) -> None:
+    """Raise ProblemError where a fit wanders along directions that neither rows nor priors hold, as every fit would."""
+    flat = ~np.isfinite(bare.prior_std)
+    if not any(j is not None and flat[j] for *_, j in bare.parameters()) or lm(bare, max_steps=TRIED).steps < TRIED:
+        return
+    free = ~np.isfinite(np.diagonal(posterior_covariance(bare.information(bare.x0), bare.prior_information))) & flat
+    if free.any():
+        names = [name for name, _, _, j in bare.parameters() if j is not None and free[j]]
+        what = f"Neither the samples nor a prior hold {shortened(names)}, so that no fit ends"
+        raise ProblemError(what, f"Give priors (--prior {names[0]}=STD, or --accuracy MM for the arm), or hold some")
 
 
 def _second_look(

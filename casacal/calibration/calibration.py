@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from casacal.calibration.agreement import disagreement, not_the_same
 from casacal.calibration.before_fit import labels_alike, outside, repeated, rounded, sign_before_fit
 from casacal.calibration.finding import Finding
 from casacal.calibration.inputs import Reference
 from casacal.calibration.mirror import mirror_image
 from casacal.calibration.motion import Motion, Tried, among, used_arm
-from casacal.calibration.numbers import not_the_same, tool_elsewhere_at, wrong_number, wrong_scale
+from casacal.calibration.numbers import tool_elsewhere_at, wrong_number, wrong_scale
 from casacal.calibration.sensitivity import Sensitivity, sensitivity
 from casacal.data.repeats import copies_of
 from casacal.data.samples import Measurements, Samples
@@ -509,10 +510,11 @@ class Calibration(Value):
 
     @cached_property
     def instrument_findings(self) -> tuple[Finding, ...]:
-        """Errors where a shared unknown differs between instruments, or all lengths have a common scale error."""
+        """Errors where instruments differ in what they share or expect, or all lengths have a common scale error."""
         if not self.result.converged:
             return ()
         shared = not_the_same(self.fit, self.result) if self.fit.problem.shared else []
+        shared = shared or disagreement(self.bare)
         return (*shared, *wrong_scale(self.seen, self.seen_x, self.covariance))
 
     @property

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from casacal.calibration.agreement import disagreement, not_the_same
 from casacal.calibration.before_fit import (
     NO_LENGTH,
     OUTSIDE,
@@ -27,7 +28,6 @@ from casacal.calibration.faults import ALIKE, EXPLAINED, SUSPICIOUS, MisfitCause
 from casacal.calibration.finding import Finding, misfit, quick_fit
 from casacal.calibration.mirror import mirror_image
 from casacal.calibration.numbers import (
-    not_the_same,
     tool_elsewhere_at,
     tool_keys,
     without_its_likes,
@@ -98,8 +98,6 @@ def _shown(bound: BoundProblem, x: Array) -> Iterator[tuple[str, str, str, str]]
 APART = 1.5
 """Times the misfit of the instrument that fits worst alone, beyond which all together contradict one another."""
 
-BY_CHANCE = 1e-4  # chance of a difference, and more, of what is one and the same
-
 
 def contradictions(bound: BoundProblem, measured: Measurements) -> list[Finding]:
     """An error where each instrument fits by itself and all together do not, or not with what they share."""
@@ -108,10 +106,8 @@ def contradictions(bound: BoundProblem, measured: Measurements) -> list[Finding]
     sizes = {each.name: misfit(each.problem, each.samples) for each in each_alone(problem, measured.sets)}
     worst = max((size for size in sizes.values() if math.isfinite(size)), default=1.0)
     if together <= max(APART * worst, SUSPICIOUS):
-        if not problem.shared:
-            return []
-        fit = with_effects(bound.with_noise(found_noise(bound).scale), problem)
-        return not_the_same(fit, lm(fit))
+        fit = with_effects(bound.with_noise(found_noise(bound).scale), problem) if problem.shared else bound
+        return (not_the_same(fit, lm(fit)) if problem.shared else []) or disagreement(bound)
     shared = "".join(f"; '{key}' is declared as the same for {' and '.join(by)}" for key, by in problem.shared.items())
     cause = (
         f"each fits alone (residuals up to {times(worst)} times the stated noise), but not together "

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from casacal.calibration.finding import Fault, Finding, Undone, freed_of_unknowns, quick_fit, weighted
+from casacal.calibration.finding import Fault, Finding, Undone, quick_fit
 from casacal.data.samples import Samples
 from casacal.effects.selection import with_effects
 from casacal.errors import CasacalError
@@ -16,16 +16,15 @@ from casacal.fit.arm_alone import ArmProblem
 from casacal.fit.bound_problem import BoundProblem, bind, times
 from casacal.fit.least_squares import Result
 from casacal.fit.lm import lm
-from casacal.linalg import svd
 from casacal.model.problem import Problem
 from casacal.model.unknown import Parameter
 from casacal.uncertainty.evidence import evidence, normal_equations
-from casacal.uncertainty.figures import chance_beyond, noise_interval
+from casacal.uncertainty.figures import noise_interval
 from casacal.uncertainty.moves import DULL, chance_of_move, common_scale
 from casacal.uncertainty.noise import found_noise
 from casacal.uncertainty.tip_error import tip_rms, tip_stds, without_rigid, workspace_joints
 from casacal.values import Array
-from casacal.wording import listed, mm, sized
+from casacal.wording import listed
 
 
 def tool_keys(problem: Problem) -> list[str]:
@@ -234,43 +233,6 @@ def wrong_scale(bound: ArmProblem, x: Array, covariance: Array) -> list[Finding]
         f"may be so wrong ({state}), so that the priors decide how large the arm is"
     )
     return [Finding("error", SCALE, cause, fix)]
-
-
-OBSERVABLE = 1e-3  # whitened effect of a difference as large as the prior's, below which rows do not see it
-
-
-def not_the_same(bound: BoundProblem, result: Result) -> list[Finding]:
-    """An error for what is declared as shared and differs between instruments, at the estimate of all their rows.
-
-    An instrument that had one of its own would see it by the derivative of its own rows. The fall of chi-square by such
-    a difference, all unknowns following within their priors, has as many degrees of freedom as directions show.
-    """
-    owners = np.searchsorted(np.cumsum([len(some) for some in bound.samples]), bound.sample_of, side="right")
-    found = []
-    for key, names in bound.problem.shared.items():
-        slots = [slot for slot in bound.slots if slot.key == key and slot.unknown.size]
-        columns = np.array([j for slot in slots for j in slot.columns], dtype=np.intp)
-        if not columns.size or not result.converged:
-            continue
-        scale, slopes = bound.start_std[columns], bound.jacobian(result.x)[:, columns]
-        own = [np.where(owners == bound.problem.number(name), 1.0, 0.0)[:, None] * slopes * scale for name in names[1:]]
-        left, sizes, along = svd(freed_of_unknowns(bound, result, np.hstack(own)))
-        observable = sizes > OBSERVABLE
-        gains = left[:, observable].T @ weighted(bound, result, bound.residual(result.x))
-        if not observable.any() or chance_beyond(float(gains @ gains), float(observable.sum())) > BY_CHANCE:
-            continue
-        apart = (-(along[observable].T @ (gains / sizes[observable]))).reshape(len(names) - 1, -1) * scale
-        label = [name for slot in slots for name in slot.unknown.names(slot.name)]
-        far = np.unravel_index(int(np.argmax(np.abs(apart / scale))), apart.shape)
-        by, unit = abs(float(apart[far])), bound.units[columns[far[1]]]
-        cause = (
-            f"'{key}' is declared as the same for {listed(names)}, and is not: {label[far[1]]} of {names[1 + far[0]]} "
-            f"is "
-            f"{mm(by) if unit == 'mm' else sized(by, unit)} away from that of {names[0]}"
-        )
-        fix = f"Measure again with the same for all, or leave '{key}' out of `shared`: then each has its own"
-        found.append(Finding("error", f"{key} not the same", cause, fix))
-    return found
 
 
 def without_its_likes(findings: Iterable[Finding]) -> list[Finding]:

@@ -63,6 +63,8 @@ def work_frame(
 
     Raises CasacalError where these fix no frame, or not three are named; UnknownNameError for a label that is none.
     """
+    from scipy.spatial.transform import Rotation
+
     result = arm_from(result)
     result.check_usable(force=force)
     labels, build = (faces, _of_faces) if faces is not None else (points, _of_points)
@@ -81,15 +83,15 @@ def work_frame(
         if name in known:
             move = np.zeros(len(names))
             move[j] = STEP
-            change = (build(places(move)) - build(places(-move))) / (2 * STEP)  # by central differences
-            spin = change[:3, :3] @ matrix[:3, :3].T
-            slopes[:, known.index(name)] += [*change[:3, 3], spin[2, 1], spin[0, 2], spin[1, 0]]
+            there, back = build(places(move)), build(places(-move))  # central differences
+            turn = Rotation.from_matrix(there[:3, :3] @ back[:3, :3].T).as_rotvec()
+            slopes[:, known.index(name)] += np.concatenate([there[:3, 3] - back[:3, 3], turn]) / (2 * STEP)
     lost = ~np.isfinite(np.diagonal(covariance)) & (np.abs(slopes) > 0).any(axis=0)
     if lost.any():
         return WorkFrame(matrix, math.inf, math.inf)
     spread = slopes @ np.where(np.isfinite(covariance), covariance, 0.0) @ slopes.T
-    origin, turn = np.trace(spread[:3, :3]), np.trace(spread[3:, 3:])
-    return WorkFrame(matrix, math.sqrt(max(origin, 0.0)), math.sqrt(max(turn, 0.0)))
+    origin_variance, turn_variance = np.trace(spread[:3, :3]), np.trace(spread[3:, 3:])
+    return WorkFrame(matrix, math.sqrt(max(origin_variance, 0.0)), math.sqrt(max(turn_variance, 0.0)))
 
 
 def frame_text(
