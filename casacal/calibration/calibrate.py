@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Collection, Mapping
 from dataclasses import replace
@@ -33,11 +34,11 @@ from casacal.fit.least_squares import Result
 from casacal.fit.lm import lm
 from casacal.fit.methods import METHODS
 from casacal.kernels.losses import Loss
-from casacal.linalg import posterior_covariance
+from casacal.linalg import right_directions
 from casacal.model.problem import Problem
 from casacal.model.problem_file import ProblemFile
 from casacal.uncertainty.noise import found_noise
-from casacal.wording import shortened
+from casacal.wording import counted, listed
 
 if TYPE_CHECKING:
     from casacal.calibration.earlier import RowsSince
@@ -215,18 +216,27 @@ def _bound(
 
 
 TRIED = 100  # steps within which a fit of an arm ends, twenty times what it needs, unless nothing holds its unknowns
+UNSEEN = 1e-9  # singular value over the largest below which a direction is hidden by rounding
 
 
 def _refuse_unheld(bare: BoundProblem) -> None:
     """Raise ProblemError where a fit wanders along directions that neither rows nor priors hold, as every fit would."""
-    flat = ~np.isfinite(bare.prior_std)
-    if not any(j is not None and flat[j] for *_, j in bare.parameters()) or lm(bare, max_steps=TRIED).steps < TRIED:
+    from scipy.linalg import qr
+
+    flat = {j: name for name, _, _, j in bare.parameters() if j is not None and not math.isfinite(bare.prior_std[j])}
+    if not flat or lm(bare, max_steps=TRIED).steps < TRIED:
         return
-    free = ~np.isfinite(np.diagonal(posterior_covariance(bare.information(bare.x0), bare.prior_information))) & flat
-    if free.any():
-        names = [name for name, _, _, j in bare.parameters() if j is not None and free[j]]
-        what = f"Neither the samples nor a prior hold {shortened(names)}, so that no fit ends"
-        raise ProblemError(what, f"Give priors (--prior {names[0]}=STD, or --accuracy MM for the arm), or hold some")
+    sizes, right = right_directions(np.vstack([bare.compact_jacobian(bare.x0), bare.prior_rows]) * bare.start_std)
+    lost = right[sizes <= UNSEEN * sizes[0]]
+    _, kept, order = qr(
+        lost[:, list(flat)], pivoting=True
+    )  # one name for each direction, so that holding these is enough
+    names = [list(flat.values())[k] for k in order[: int((np.abs(np.diagonal(kept)) > UNSEEN).sum())]]
+    if names:
+        what = (
+            f"Neither the samples nor a prior hold {counted(len(names), 'combination')} of parameters, so no fit ends"
+        )
+        raise ProblemError(what, f"Give a prior to {listed(names)} (--prior {names[0]}=STD), or hold them (--fix)")
 
 
 def _second_look(

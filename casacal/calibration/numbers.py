@@ -23,7 +23,7 @@ from casacal.uncertainty.figures import noise_interval
 from casacal.uncertainty.moves import DULL, chance_of_move, common_scale
 from casacal.uncertainty.noise import found_noise
 from casacal.uncertainty.tip_error import tip_rms, tip_stds, without_rigid, workspace_joints
-from casacal.values import Array
+from casacal.values import Array, Index
 from casacal.wording import listed
 
 
@@ -85,7 +85,8 @@ FAR = 2.0
 def tool_elsewhere_at(bound: BoundProblem, x: Array, covariance: Array) -> list[Finding]:
     """A warning where the tool moved far beyond its prior in a fit, at its estimate (n,) with the covariance (n, n).
 
-    Nothing for a held tool, or for one without a prior.
+    Also where a length of the arm moved, under a wide prior, by as much as no drawing errs, and the tool elsewhere fits
+    as well. Nothing for a held tool, or for one without a prior.
     """
     moves = {
         full[key]
@@ -103,7 +104,7 @@ def tool_elsewhere_at(bound: BoundProblem, x: Array, covariance: Array) -> list[
     own = np.array(list(named.values()), dtype=np.intp)
     far = (np.abs(x[own]) > FAR * bound.prior_std[own]).any()
     if not far or chance_of_move(bound, x, covariance, own) > CHANCE_OF_MOVE:
-        return []
+        return _length_for_tool(bound, x, covariance, own)
     moved = ", ".join(f"{name} by {x[j]:+.2f} mm (its prior: {bound.prior_std[j]:.2g})" for name, j in named.items())
     cause = f"the samples put the tool in another place than the problem file does: {moved}"
     fix = "Measure the tool again, and correct its position or prior in the problem file"
@@ -113,6 +114,29 @@ def tool_elsewhere_at(bound: BoundProblem, x: Array, covariance: Array) -> list[
         cause += f"; or {'; '.join(others.values())}, which these samples cannot tell from it"
         fix = f"Measure the tool from the flange first; only if it is as stated, look at {listed(list(others), 'or')}"
     return [Finding("warning", "tool elsewhere", cause, fix)]
+
+
+NO_DRAWING = 2.0  # mm by which no length of an arm differs from its drawing
+ANOTHER = 20.0  # standard deviations of a tool's prior by which a tool may differ that was exchanged or misread
+TOGETHER = 0.9  # correlation of a length and the tool, without sign, from which the rows see their sum alone
+
+
+def _length_for_tool(bound: BoundProblem, x: Array, covariance: Array, tool: Index) -> list[Finding]:
+    """A warning where a length of the arm moved far and the tool (its places in x) elsewhere fits as well."""
+    stds = np.sqrt(np.diagonal(covariance))
+    for name, unit, _, j in bound.parameters():
+        if j is None or unit != "mm" or j in tool or not abs(x[j]) > NO_DRAWING:
+            continue
+        alike = [k for k in tool.tolist() if abs(covariance[j, k]) > TOGETHER * stds[j] * stds[k]]
+        if not any(abs(x[j]) <= ANOTHER * bound.prior_std[k] for k in alike):
+            continue
+        keys = list(dict.fromkeys(slot.key for slot in bound.slots for k in alike if k in slot.columns))
+        held = bind(bound.problem.fix(name), *bound.samples).with_noise(bound.scale)
+        if other := as_good(held, {"tool": keys}, lm(bound)):
+            cause = f"{name} moved by {x[j]:+.2f} mm; {other['tool']} fits as well, and puts the flange elsewhere"
+            fix = f"Measure the tool from the flange; only if it is as stated, keep {name}"
+            return [Finding("warning", f"tool or {name}", cause, fix)]
+    return []
 
 
 WIDE = {"rad": 0.1, "mm": 20.0}  # smallest prior under which `calibrate` tries another number, by unit

@@ -13,7 +13,7 @@ import numpy as np
 from casacal.calibration.calibration import FAR, LACK_OF_FIT, Calibration, more_than_stated
 from casacal.calibration.finding import Finding
 from casacal.calibration.motion import tip_extremes
-from casacal.calibration.numbers import SCALE, without_its_likes
+from casacal.calibration.numbers import SCALE, TOOL, without_its_likes
 from casacal.deployment.result import Verdict
 from casacal.effects.selection import at_most, errors_are_shared
 from casacal.fit.bound_problem import BoundProblem
@@ -147,7 +147,12 @@ def _tool_elsewhere(calibration: Calibration) -> Doubt | None:
         f"Tool offset: {finding.cause}. {finding.fix}. Until then figures hold for the tip with this tool, not for the "
         "flange; compensate and predict need --frame tip."
     )
-    return Doubt("the tool is not where the problem file says", sentence, lower(finding.fix))
+    clause = "the tool is not where the problem file says"
+    if finding.about != TOOL:
+        clause = (
+            f"these samples cannot tell {finding.about.replace(' or ', ' from ')}, so nothing is promised at the flange"
+        )
+    return Doubt(clause, sentence, lower(finding.fix))
 
 
 def _repeated_rows(calibration: Calibration) -> Doubt | None:

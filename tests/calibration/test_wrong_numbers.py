@@ -155,6 +155,23 @@ def test_a_longer_tool_and_the_last_link_are_named_together_the_tool_first(longe
     assert verdict_of(right).level == "calibrated", "who obeys is better off"
 
 
+@pytest.mark.parametrize(("tool", "told"), [(1.0, True), (0.1, False)])
+def test_a_length_freed_by_hand_promises_nothing_at_the_flange_while_the_tool_may_be_longer(longer_tool, tool, told):
+    """Who knows the tool to a tenth is believed: then it is the length that differs."""
+    problem, samples = longer_tool
+    dial = dataclasses.replace(problem.instrument, tool=tool_point(0, 0, 115.0, prior_std=(1.0, 1.0, tool)))
+    freed = Problem(problem.robot, dial).with_prior({"d6": 20.0})
+    found = calibrate(freed, samples, reference=False)
+    verdict, (_, flange) = verdict_of(found), found.flange_std
+    if not told:
+        assert flange < 0.5
+        return
+    assert verdict.level == "use with care"
+    assert "cannot tell tool from d6, so nothing is promised at the flange" in verdict.words
+    assert math.isnan(flange), "1.0 mm, where 4.5 were wrong"
+    assert "Measure the tool from the flange; only if it is as stated, keep d6" in " ".join(verdict.reasons)
+
+
 @pytest.mark.long_unless("119.5")
 @pytest.mark.parametrize("length", [112.0, 119.5])
 def test_a_held_tool_is_named_as_well(length):
