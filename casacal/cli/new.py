@@ -44,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Write a problem folder for a DH table or a URDF; returns 0."""
     from casacal.model.dh_table import BLOCK_FIELDS, unread_keys
+    from casacal.model.joints import Joint
     from casacal.model.new import new_from_dh, new_from_urdf
     from casacal.model.problem_text import Answers
 
@@ -54,6 +55,7 @@ def run(options: argparse.Namespace) -> int:
                       block=options.block, table=options.table)  # fmt: skip
     if not plates and (options.block is not None or options.table is not None):
         answers = _with_proposed_plates(answers, options)
+    missing = list(answers.missing)
     if options.dh is not None:
         if options.tip or options.base:
             raise CasacalError("--tip and --base name links of a URDF", "Leave them out with --dh")
@@ -62,6 +64,10 @@ def run(options: argparse.Namespace) -> int:
         if unread := unread_keys(options.dh):
             known = ", ".join(BLOCK_FIELDS)
             say_paragraphs(f"Taken for remarks, not for settings: {', '.join(unread)}. Known are {known}")
+        if all(joint == Joint(joint.kind) for joint in table.joints):
+            missing.append(
+                "joint limits: the table gives none that differ from those of any joint, -180 to 180 degrees"
+            )
         if table.parallel:
             axes = ", ".join(f"{row} and {row + 1}" for row in table.parallel)
             say_paragraphs(f"Parallel axes: {axes}; there Hayati's angle beta is calibrated in place of d")
@@ -75,9 +81,9 @@ def run(options: argparse.Namespace) -> int:
         towards = "" if face.normal == (0.0, 0.0, 1.0) else f", facing {', '.join(f'{n:g}' for n in face.normal)}"
         begun = "Proposed face" if answers.proposed else "Face"
         say_paragraphs(f"{begun} '{face.label}': middle at {where} mm{towards}, {face.side:g} mm wide")
-    say_paragraphs(f"Written: {place}", *(f"To fill in: {words}" for words in answers.missing))
+    say_paragraphs(f"Written: {place}", *(f"To fill in: {words}" for words in missing))
     following = f"casacal simulate {place} --out out/{options.name}_samples.csv"
-    say_paragraphs(f"Next: {f'fill these in {place}/problem.py, then ' if answers.missing else ''}{following}")
+    say_paragraphs(f"Next: {f'fill these in {place}/problem.py, then ' if missing else ''}{following}")
     return DONE
 
 

@@ -29,6 +29,8 @@ def new_from_dh(
     cannot be read or the folder exists.
     """
     table, source = read_dh_file(path), Path(path).name
+    if table.name == Path(path).stem:  # which nobody chose
+        table = replace(table, name=name)
     if not table.parallel:
         table = replace(table, parallel=table.parallel_axes(), beta=())
     context = {

@@ -192,3 +192,17 @@ def test_a_travel_that_is_none_is_called_by_its_option(place, capsys, travel, sa
 def test_a_travel_of_nothing_names_no_file_that_is_not_there(place, capsys):
     assert main(["new", "mine", "--dh", "ur5.csv", "--travel", "1e-300"]) == 2
     assert capsys.readouterr().err.startswith("casacal: The dial's travel is 1e-300. Give its range")
+
+
+@pytest.mark.parametrize(
+    ("head", "limits", "named", "told"), [("", "", "mine", True), ("# name: Erna\n", ",100", "Erna", False)]
+)
+def test_an_arm_that_its_table_does_not_name_has_the_name_that_was_given(tmp_path, capsys, head, limits, named, told):
+    """And limits that no table states are to fill in: a plan goes to them."""
+    columns = "alpha_deg,a_mm,d_mm,theta_deg" + (",upper_deg,lower_deg" if limits else "")
+    rows = "\n".join(f"{row}{limits}{',-90' if limits else ''}" for row in ("90,0,300,0", "0,400,0,0", "90,20,0,0"))
+    (tmp_path / "table.csv").write_text(f"{head}# convention: standard\n{columns}\n{rows}\n")
+    assert main(["new", "mine", "--dh", str(tmp_path / "table.csv"), "--out", str(tmp_path)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert load_problem(tmp_path / "mine").problem.robot.name == named
+    assert ("To fill in: joint limits" in said) == told
