@@ -106,6 +106,8 @@ def writable(place: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        if place.parent.name.startswith(PREFIX):  # written aside, where nobody asked for it
+            place = place.parent.parent / place.name
         raise CasacalError(f"'{place}' cannot be written ({error.strerror})", "Choose another place") from error
 
 

@@ -220,6 +220,19 @@ def fill_the_disk(folder):
         raise OSError(28, "No space left on device")
 
 
+def test_a_full_disk_is_said_of_the_file_that_was_asked_for(tmp_path, monkeypatch):
+    """Not of the place aside where it is written first."""
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with together(tmp_path, ["report.html"]) as place:
+        monkeypatch.setattr(os, "replace", full)
+        with pytest.raises(CasacalError) as said:
+            write_text(place / "report.html", "new")
+    assert said.value.what == f"'{tmp_path / 'report.html'}' cannot be written (No space left on device)"
+
+
 def write_pair(folder):
     with side_by_side([folder / "x.csv", folder / "x.json"]) as places:
         for place in places:
