@@ -26,6 +26,7 @@ from casacal.calibration.before_fit import (
 )
 from casacal.calibration.faults import ALIKE, EXPLAINED, SUSPICIOUS, MisfitCause, explained, flips
 from casacal.calibration.finding import Finding, misfit, quick_fit
+from casacal.calibration.midway import STUCK, changed_midway
 from casacal.calibration.mirror import mirror_image
 from casacal.calibration.numbers import (
     tool_elsewhere_at,
@@ -175,7 +176,8 @@ def check(problem: Problem, samples: Samples | Measurements, *, confirmed: bool 
     findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some)]
     findings += stray if base <= EXPLAINED else []  # else the other rows miss as well, and these are not the cause
     if base > SUSPICIOUS:
-        return _in_order([_unexplained(problem, samples, base, findings), *findings])
+        midway = changed_midway(problem, _few_of_each_face(problem, samples))
+        return _in_order([midway or _unexplained(problem, samples, base, findings), *findings])
     quick = quick_fit(problem, few)
     if quick is not None:
         fitted = quick[0], quick[1].x, quick[1].covariance
@@ -228,6 +230,10 @@ def _evenly(count: int, most: int) -> Index:
 def _unexplained(problem: Problem, samples: Samples, base: float, findings: list[Finding]) -> Finding:
     known = [finding.about for finding in findings if finding.severity == "error"]
     cause = f"the residuals of a robust fit are {times(base)} times the stated noise"
+    still = np.flatnonzero(np.ptp(samples.joints, axis=0) < STUCK)
+    if still.size and base > EXPLAINED:
+        stuck = listed([f"joint {i + 1}" for i in still.tolist()])
+        cause = f"{stuck} {'shows' if still.size == 1 else 'show'} one and the same value in all rows; {cause}"
     column, what = problem.instrument.groups, problem.instrument.words.group
     if column is not None and samples.faces(column).names == (column,) and base > EXPLAINED:
         cause = f"there is no column '{column}', so all rows count as of one {what}; with that, {cause}"

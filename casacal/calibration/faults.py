@@ -73,7 +73,7 @@ def drifting(problem: Problem, samples: Samples, *, column: str) -> Undone:
     def less(samples: Samples, size: float) -> Samples:
         return replace(samples, columns={**samples.columns, column: samples.columns[column] - size * order})
 
-    (size,) = _fitted(problem, samples, less)
+    (size,) = fitted_sizes(problem, samples, less)
     return Undone(problem, less(samples, size), f", by {size:+.3g} mm from the first row to the last")
 
 
@@ -84,7 +84,7 @@ def scaled(problem: Problem, samples: Samples, *, columns: Sequence[str]) -> Und
         changed = {name: samples.columns[name] * (1 - size) for name in columns}
         return replace(samples, columns={**samples.columns, **changed})
 
-    (size,) = _fitted(problem, samples, less)
+    (size,) = fitted_sizes(problem, samples, less)
     if abs(size) > MOST_SCALE:
         return Undone(problem, samples)
     return Undone(problem, less(samples, size), f", by {100 * size:+.3g} %")
@@ -98,7 +98,7 @@ def geared(problem: Problem, samples: Samples, *, turning: int, sliding: int) ->
         joints[:, sliding] += size * joints[:, turning]
         return replace(samples, joints=joints)
 
-    (size,) = _fitted(problem, samples, with_lead)
+    (size,) = fitted_sizes(problem, samples, with_lead)
     return Undone(problem, with_lead(samples, size), f", by {2 * math.pi * size:+.4g} mm per turn")
 
 
@@ -132,7 +132,7 @@ def zero_moved(problem: Problem, samples: Samples, *, column: str) -> Undone:
     rows, left = samples, math.inf
     while len(places) < MOST_SHIFTS and (place := _where_shifted(problem, rows, column)) is not None:
         less = partial(_less_shifts, column=column, places=[*places, place])
-        found = _fitted(problem, samples, less, start=(*sizes, 0.0))
+        found = fitted_sizes(problem, samples, less, start=(*sizes, 0.0))
         if (misses := misfit(problem, less(samples, *found))) > WORTH * left:
             break
         places, sizes, rows, left = [*places, place], found, less(samples, *found), misses
@@ -177,7 +177,7 @@ def _relabelled(problem: Problem, samples: Samples, place: int) -> Samples | Non
     return replace(samples, labels={**samples.labels, column: Labels(names, codes)}) if split else None
 
 
-def _fitted(
+def fitted_sizes(
     problem: Problem, samples: Samples, change: Callable[..., Samples], *, start: tuple[float, ...] = (0.0,)
 ) -> tuple[float, ...]:
     """Sizes of changes at which all fits best: Gauss-Newton in them, all unknowns fitted anew at each step.

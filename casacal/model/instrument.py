@@ -161,6 +161,8 @@ UNIT_MISTAKES = {
     10.0: "centimetres, written as mm",
     1000.0: "metres, written as mm, or mm, written as micrometres",
     0.001: "micrometres, written as mm",
+    0.01: "hundredths of a millimetre, written as mm",
+    0.0254: "thousandths of an inch, written as mm",
 }
 """Units in which readings may be by mistake, by the factor that corrects them."""
 

@@ -1,0 +1,99 @@
+"""Something that changed while the rows were taken: the data check names the line, and what was changed."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from casacal import check, load_problem, simulate
+from casacal.calibration.midway import changed_midway
+from casacal.data.columns import Labels
+
+PROBLEMS = Path(__file__).parent.parent.parent / "problems"
+ROWS, PLACE = 60, 33
+
+
+@pytest.fixture(scope="module", params=["adept_cobra600", "ur5"])
+def touched(request):
+    source = load_problem(PROBLEMS / request.param)
+    return source.problem, simulate(source.problem, source.cell, samples=ROWS, seed=11).samples
+
+
+def with_joints(samples, change):
+    joints = samples.joints.copy()
+    change(joints)
+    return dataclasses.replace(samples, joints=joints)
+
+
+def stuck(joints):
+    joints[PLACE:, 1] = joints[PLACE, 1]
+
+
+def slipped(joints):
+    joints[PLACE:, 1] += np.radians(0.5)
+
+
+def swapped(joints):
+    joints[PLACE:, [0, 1]] = joints[PLACE:, [1, 0]]
+
+
+def swapped_at_first(joints):
+    joints[:PLACE, [0, 1]] = joints[:PLACE, [1, 0]]
+
+
+@pytest.mark.parametrize(
+    ("change", "about", "near"),
+    [
+        (stuck, "joint 2 stuck from line ", PLACE),
+        (slipped, "joint 2 slipped from line ", PLACE),
+        (swapped, "joints 1 and 2 swapped from line ", PLACE),
+        (swapped_at_first, "joints 1 and 2 swapped up to line ", PLACE - 1),
+    ],
+)
+def test_what_happened_to_joints_is_named_with_its_line(touched, change, about, near):
+    problem, samples = touched
+    wrong = with_joints(samples, change)
+    found = changed_midway(problem, wrong)
+    assert found.about.startswith(about)
+    line = int(found.about.removeprefix(about).removesuffix(" on"))
+    assert abs(wrong.lines.index(line) - near) <= 1  # the first row may fit by chance
+    if change is slipped:
+        assert float(found.cause.partition("slipped by ")[2].split(" degrees")[0]) == pytest.approx(0.5, abs=0.03)
+
+
+def test_exchanged_labels_and_a_turned_dial_are_named_by_check(touched):
+    problem, samples = touched
+    column, reading = problem.instrument.groups, problem.instrument.probe.column
+    labels, later = samples.labels[column], np.arange(ROWS) >= PLACE
+    order = np.arange(len(labels.names))
+    order[[0, 1]] = 1, 0
+    codes = np.where(later, order[labels.codes], labels.codes)
+    exchanged = dataclasses.replace(samples, labels={**samples.labels, column: Labels(labels.names, codes)})
+    errors = [each for each in check(problem, exchanged) if each.severity == "error"]
+    assert errors
+    assert all("labels exchanged" in each.about for each in errors), "by line, or row by row where these are few"
+    values = samples.columns[reading]
+    turned = dataclasses.replace(samples, columns={**samples.columns, reading: np.where(later, -values, values)})
+    errors = [each for each in check(problem, turned) if each.severity == "error"]
+    assert any(each.about.startswith("wrong dial sign from line ") for each in errors)
+
+
+def test_rows_that_fit_have_no_such_line(touched):
+    problem, samples = touched
+    assert changed_midway(problem, samples) is None
+    shuffled = dataclasses.replace(
+        samples, joints=np.random.default_rng(0).permuted(samples.joints, axis=0)
+    )  # nor have rows none of which fit
+    assert changed_midway(problem, shuffled) is None
+
+
+def test_a_joint_that_never_moves_is_said_where_nothing_fits():
+    source = load_problem(PROBLEMS / "ur5")
+    samples = simulate(source.problem, source.cell, samples=ROWS, seed=11).samples
+
+    def never(joints):
+        joints[:, 4] = joints[0, 4]
+
+    (error, *_) = check(source.problem, with_joints(samples, never))
+    assert error.cause.startswith("joint 5 shows one and the same value in all rows; ")
