@@ -125,6 +125,8 @@ MOST_ROWS = 600  # rows used to look for systematic faults; more add time, not i
 OF_A_FACE = 12  # rows of a face, where faces are many, that tell of systematic faults
 SPREAD = 20_000  # rows that tell of the set-up and of what the prior explains; more add memory, not insight
 
+MOST_STRAY = 0.1  # part of the rows beyond which those far off their face are no single rows
+
 OF_TWO = 3.0
 """Times what prior errors explain by which the drawn arm must miss before two mistakes at once are looked for."""
 
@@ -170,13 +172,17 @@ def check(problem: Problem, samples: Samples | Measurements, *, confirmed: bool 
     few = _few_of_each_face(problem, good)
     base = misfit(problem, few)
     gross = float(np.sqrt((some.plain_residual(some.x0) ** 2).mean())) > OF_TWO * scatter
+    many = bad.sum() > MOST_STRAY * len(samples)  # then it may be their order
+    midway = changed_midway(problem, _few_of_each_face(problem, samples)) if base > SUSPICIOUS and many else None
+    if midway is not None:
+        return _in_order([midway, *findings])
     cause = explained(problem, few, base, gross=gross) if base > SUSPICIOUS else None
     if cause is not None:  # it also explains single rows that lie off
         return _in_order(_with_cause(findings, cause, some, few))
     findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some)]
     findings += stray if base <= EXPLAINED else []  # else the other rows miss as well, and these are not the cause
     if base > SUSPICIOUS:
-        midway = changed_midway(problem, _few_of_each_face(problem, samples))
+        midway = None if many else changed_midway(problem, _few_of_each_face(problem, samples))
         return _in_order([midway or _unexplained(problem, samples, base, findings), *findings])
     quick = quick_fit(problem, few)
     if quick is not None:
@@ -230,10 +236,10 @@ def _evenly(count: int, most: int) -> Index:
 def _unexplained(problem: Problem, samples: Samples, base: float, findings: list[Finding]) -> Finding:
     known = [finding.about for finding in findings if finding.severity == "error"]
     cause = f"the residuals of a robust fit are {times(base)} times the stated noise"
-    still = np.flatnonzero(np.ptp(samples.joints, axis=0) < STUCK)
-    if still.size and base > EXPLAINED:
-        stuck = listed([f"joint {i + 1}" for i in still.tolist()])
-        cause = f"{stuck} {'shows' if still.size == 1 else 'show'} one and the same value in all rows; {cause}"
+    still = [f"joint {i + 1}" for i in np.flatnonzero(np.ptp(samples.joints, axis=0) < STUCK).tolist()]
+    still += [f"column '{name}'" for name, values in samples.columns.items() if np.ptp(values) == 0]
+    if still and base > EXPLAINED:
+        cause = f"{listed(still)} {'shows' if len(still) == 1 else 'show'} one and the same value in all rows; {cause}"
     column, what = problem.instrument.groups, problem.instrument.words.group
     if column is not None and samples.faces(column).names == (column,) and base > EXPLAINED:
         cause = f"there is no column '{column}', so all rows count as of one {what}; with that, {cause}"

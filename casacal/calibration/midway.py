@@ -22,11 +22,14 @@ from casacal.errors import CasacalError
 from casacal.fit.bound_problem import bind
 from casacal.fit.lm import lm
 from casacal.model.problem import Problem
+from casacal.uncertainty.figures import effective_unknowns
 from casacal.wording import times
 
 FEWEST = 20  # rows that must fit by themselves; fewer fit to much
 FEW_LEFT = 5  # rows beyond the line; fewer are single rows
 UNEXPECTED = 25.0  # chi-square of a row that those before it do not expect: five standard deviations
+LEFT_OVER = 5.0  # rows beyond what their fit needs that the good ones must have
+FAR_OFF = 5.0  # standard deviations by which most of the others must lie off
 STUCK = 1e-9  # rad or mm within which a joint does not move
 
 TRIMMED = 0.85  # part of the rows that a robust fit takes for good which surely are: it bears a tenth of others
@@ -43,6 +46,8 @@ def changed_midway(problem: Problem, samples: Samples) -> Finding | None:
         good, rest = (samples.take(range(place)), samples.take(range(place, count)))
         if backwards:
             good, rest = samples.take(range(count - place, count)), samples.take(range(count - place))
+        if not _surprising(problem, good, rest):
+            continue
         line = rest.lines[-1 if backwards else 0]
         where = f"up to line {line}" if backwards else f"from line {line} on"
         about, cause, fix = _what_changed(problem, good, rest)
@@ -70,6 +75,24 @@ def _first_unexpected(problem: Problem, samples: Samples) -> int | None:
             return place - 1
         before = found.cost
     return fits
+
+
+def _surprising(problem: Problem, good: Samples, rest: Samples) -> bool:
+    """Whether good rows, more than their fit needs, do not expect most of the others by far.
+
+    Where the model is wrong everywhere, or the noise is, the first rows fit as well, if they are few.
+    """
+    whole = bind(problem, joined(good, rest))
+    part, later = whole.take(range(len(good))), whole.take(range(len(good), len(whole.measured)))
+    found = lm(part)
+    if not found.converged or part.rows - effective_unknowns(part, found.x) < LEFT_OVER:
+        return False
+    jacobian, covariance = later.jacobian(found.x), found.covariance
+    known = np.isfinite(np.diagonal(covariance))  # but for faces that the good rows do not show
+    spread = np.einsum("ij,jk,ik->i", jacobian[:, known], covariance[np.ix_(known, known)], jacobian[:, known])
+    told = (jacobian[:, ~known] == 0).all(axis=1)
+    off = np.abs(later.residual(found.x)[told]) / np.sqrt(1 + spread[told])
+    return bool(off.size) and float(np.median(off)) > FAR_OFF
 
 
 def _what_changed(problem: Problem, good: Samples, rest: Samples) -> tuple[str, str, str]:

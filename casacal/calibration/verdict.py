@@ -516,6 +516,7 @@ def unexplained(calibration: Calibration) -> list[str]:
     return []
 
 
+OVERSTATED = 0.3  # found over stated noise, surely below which rows count for a tenth of what they are worth
 CONTRADICTED = 1e-3  # chance below which new rows do not fit what an earlier result knows
 
 
@@ -548,6 +549,11 @@ def priors_contradicted(calibration: Calibration) -> list[str]:
     # were all priors so much narrower as the drawn arm contradicts them, this is what it would err by
     as_drawn = before * drawn["rmse_mm"] / scatter.rms if scatter.rms > 0 else math.inf
     if math.isfinite(before) and now > as_drawn and scatter.chance_below(drawn["rmse_mm"]) < TOO_LOOSE:
+        if calibration.noise.high < OVERSTATED:
+            said = times(1 / calibration.noise.ratio)
+            return [
+                f"the stated noise is {said} times what the rows show, so that they hardly count; state it as it is"
+            ]
         return [
             f"the priors are too loose for this arm: they allow a tip error of {mm(before)} as drawn, but its "
             f"residuals suggest about {mm(max(as_drawn, LEAST_SHOWN))}, which is less than these priors leave after "

@@ -20,7 +20,9 @@ OTHER_UNITS = {
     **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), (1000.0, "mm")),
     **dict.fromkeys(("in", "inch", "inches"), (25.4, "mm")),
     **dict.fromkeys(("deg", "degree", "degrees"), (math.pi / 180, "rad")),
+    **dict.fromkeys(("radian", "radians"), (1.0, "rad")),
     **{"cm": (10.0, "mm"), "mrad": (1e-3, "rad")},
+    **dict.fromkeys(("millimetre", "millimetres", "millimeter", "millimeters"), (1.0, "mm")),
 }
 """Units that a drawing may have, and the factor to that of models."""
 PRIOR_STD = {"mm": 0.7, "rad": 1e-3}
@@ -255,8 +257,9 @@ class Parameter(Unknown):
             raise ProblemError(what, "Give one label per value")
         if self.values is None and not self._free.all() and not self.held_as_proposed:
             raise ProblemError("A parameter is held but has no value", "Give its value, or leave it free")
-        if self.unit in OTHER_UNITS:
-            factor, unit = OTHER_UNITS[self.unit]
+        other = self.unit.strip().lower() if isinstance(self.unit, str) else ""
+        if other in OTHER_UNITS or (other in START_STD and other != self.unit):
+            factor, unit = OTHER_UNITS.get(other, (1.0, other))
             what = f"A parameter is in '{self.unit}', and models are in mm and rad"
             raise ProblemError(what, f"Give value and prior_std times {factor:g}, with unit='{unit}'")
         check_stds(self._prior, "prior_std of a parameter")

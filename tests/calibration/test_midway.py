@@ -11,7 +11,7 @@ from casacal.calibration.midway import changed_midway
 from casacal.data.columns import Labels
 
 PROBLEMS = Path(__file__).parent.parent.parent / "problems"
-ROWS, PLACE = 60, 33
+ROWS, PLACE = 80, 44
 
 
 @pytest.fixture(scope="module", params=["adept_cobra600", "ur5"])
@@ -71,8 +71,7 @@ def test_exchanged_labels_and_a_turned_dial_are_named_by_check(touched):
     codes = np.where(later, order[labels.codes], labels.codes)
     exchanged = dataclasses.replace(samples, labels={**samples.labels, column: Labels(labels.names, codes)})
     errors = [each for each in check(problem, exchanged) if each.severity == "error"]
-    assert errors
-    assert all("labels exchanged" in each.about for each in errors), "by line, or row by row where these are few"
+    assert any("labels exchanged" in each.about for each in errors), "by line, or row by row where these are few"
     values = samples.columns[reading]
     turned = dataclasses.replace(samples, columns={**samples.columns, reading: np.where(later, -values, values)})
     errors = [each for each in check(problem, turned) if each.severity == "error"]
@@ -97,3 +96,10 @@ def test_a_joint_that_never_moves_is_said_where_nothing_fits():
 
     (error, *_) = check(source.problem, with_joints(samples, never))
     assert error.cause.startswith("joint 5 shows one and the same value in all rows; ")
+
+
+def test_a_noise_that_is_understated_everywhere_changes_at_no_line(touched):
+    """The first rows fit to any noise, if they are few."""
+    problem, samples = touched
+    few = dataclasses.replace(problem.instrument, noise_std=1e-5)
+    assert changed_midway(type(problem)(problem.robot, few), samples) is None

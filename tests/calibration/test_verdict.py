@@ -607,6 +607,15 @@ def test_numbers_that_nothing_holds_deny_the_result(clean, monkeypatch):
     assert said.startswith(f"Do not use this result: {name} moved by {clean.parameters['change'][name]:.3g}, as no arm")
 
 
+def test_a_noise_in_micrometres_is_what_is_wrong_and_not_the_priors(hsr, clean):
+    loud = hsr.problem.with_settings({"noise_std": 10.0})
+    said = verdict_of(calibrate(loud, clean.samples, method="lm", reference=False))
+    assert said.words.startswith("Do not use this result: the stated noise is ")
+    ratio = float(said.words.split("the stated noise is ")[1].split(" times")[0].replace(",", ""))
+    drawn = 10.0 / float(np.sqrt((bind(hsr.problem, clean.samples).plain_residual(np.zeros(33)) ** 2).mean()))
+    assert drawn / 3 < ratio < 3 * drawn, "the rows then show no more than how far the drawn arm misses"
+
+
 def test_a_flat_prior_does_not_hide_that_the_others_are_too_loose(hsr):
     """What the flat one lets the drawn arm err by is unknown; what the others do is contradicted all the same."""
     flat = hsr.problem.with_prior({"a2": math.inf})
