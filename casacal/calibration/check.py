@@ -34,6 +34,7 @@ from casacal.calibration.numbers import (
     wrong_number,
     wrong_scale,
 )
+from casacal.calibration.patterns import CONVENTIONS
 from casacal.calibration.set_aside import off_their_face, robust_fit, single_rows, studentised_outliers
 from casacal.data.repeats import without_copies
 from casacal.data.samples import Measurements, Samples
@@ -175,7 +176,12 @@ def check(problem: Problem, samples: Samples | Measurements, *, confirmed: bool 
     gross = float(np.sqrt((some.plain_residual(some.x0) ** 2).mean())) > OF_TWO * scatter
     cause = explained(problem, few, base, gross=gross) if base > SUSPICIOUS else None
     if cause is not None:  # it also explains single rows that lie off
-        return _in_order(_with_cause(findings, cause, some, few))
+        image = (
+            []
+            if confirmed or cause.finding.about != CONVENTIONS
+            else _image(bind(cause.undone.problem, cause.undone.samples))
+        )
+        return _in_order([*_with_cause(findings, cause, some, few), *image])
     findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some)]
     findings += stray if base <= EXPLAINED else []  # else the other rows miss as well, and these are not the cause
     if base > SUSPICIOUS:

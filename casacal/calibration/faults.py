@@ -23,6 +23,7 @@ from casacal.calibration.finding import (
     weighted,
 )
 from casacal.calibration.numbers import TOOL, alike_numbers, numbers, tool_keys
+from casacal.calibration.patterns import in_problem, patterns
 from casacal.data.columns import Labels
 from casacal.data.samples import Samples
 from casacal.errors import CasacalError
@@ -282,7 +283,8 @@ def flips(problem: Problem) -> Iterator[Fault]:
 
 def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
     """Mistakes that concern the tool, one face, two joints, or the order of the rows."""
-    probe, turns = problem.instrument.probe, problem.robot.revolute
+    probe, turns, arm = problem.instrument.probe, problem.robot.revolute, problem.robot.arm
+    own = None if arm is None else arm.conventions
     if tool_keys(problem):
         fix = "Measure the tool from the flange again, and correct it in the problem file"
         cause = "the tool seems to be elsewhere"
@@ -301,7 +303,9 @@ def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
                 coupled[j, i] = factor
                 said = "turns" if turns[j] else "slides"
                 cause = f"joint {j + 1} seems to {said[:-1]} {'with' if factor > 0 else 'against'} joint {i + 1}"
-                yield Fault(about, cause, DOCTOR, _turned(coupled), common=False)
+                meant = replace(Conventions.plain(len(turns)), coupling=((j + 1, i + 1, factor),))
+                fix = DOCTOR + ("" if own is not None and own.coupling else in_problem(problem.robot, meant))
+                yield Fault(about, cause, fix, _turned(coupled), common=False)
         elif turns[i]:
             cause = f"joint {j + 1} seems to slide as joint {i + 1} turns"
             yield Fault(about, cause, DOCTOR, partial(geared, turning=i, sliding=j), 1, False)
@@ -463,6 +467,10 @@ def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = 
     if best is None:
         return None
     if best.size > max(min(BETTER * base, EXPLAINED), SUSPICIOUS) and gross:
+        makers = [_to_the_end(each) for fault in patterns(problem, samples) for each in _one(fault, nothing)]
+        whole = _simplest(makers)
+        if whole is not None and whole.size < min(BETTER * min(best.size, base), EXPLAINED):
+            return _misfit_cause(whole, base, makers, [])
         pairs = _pairs(tried, problem)
         both = _simplest(pairs)
         if both is not None and both.size < min(BETTER * min(best.size, base), EXPLAINED):

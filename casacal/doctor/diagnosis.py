@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casacal.doctor.pendant_rows import ANGLES, LENGTHS, PendantRows, angle_between, rotations_as, rotations_of
-from casacal.doctor.search import Axes, Halves, Integers, axes_of, one_change_away, poses_of, settings_changed
+from casacal.doctor.search import Halves, Integers, one_change_away, poses_of, settings_changed
 from casacal.errors import CasacalError
+from casacal.model.axes import Axes, axes_of
 from casacal.model.dh_table import DHTable
 from casacal.model.joints import Conventions
 from casacal.model.robot import AXIS_WEIGHT, Robot, inside_limits, random_joints

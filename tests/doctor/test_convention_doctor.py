@@ -16,7 +16,8 @@ from casacal import Conventions, Joint, Parameter, Robot, chain, deg, diagnose
 from casacal.cli.main import main
 from casacal.doctor import PendantRows, read_pendant_rows
 from casacal.doctor.diagnosis import Meaning, further_pose
-from casacal.doctor.search import Halves, axes_of
+from casacal.doctor.search import Halves
+from casacal.model.axes import axes_of
 from casacal.doctor.words import diagnosis_text
 from casacal.errors import CasacalError, ProblemError, SamplesError
 from casacal.model.dh_table import dh_file_text, read_dh_file
