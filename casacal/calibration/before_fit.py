@@ -7,6 +7,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
+from typing import get_args
 
 import numpy as np
 
@@ -115,12 +116,24 @@ def rounded(bound: BoundProblem) -> list[Finding]:
             )
             fix = "Log the joints with more digits, or declare the joint repeatability"
             findings.append(Finding("error" if effect > 2 * noise else "warning", "joints rounded", cause, fix))
-    lengths = [name for name, kind in bound.problem.instrument.columns.items() if kind == "length"]
-    step = max((_grid(samples.columns[name], np.array(GRIDS)) for name in lengths), default=0.0)
-    if step / math.sqrt(12) > noise:
-        cause = f"readings are written in steps of {step:g} mm; the stated noise is {noise:.2g} mm"
-        fix = "Read the dial more finely, or declare a larger noise_std"
-        findings.append(Finding("warning", "readings rounded", cause, fix))
+    instrument, here = bound.problem.instrument, bound.residual(bound.x0)
+    whole = any(block.unit == "rad" for block in instrument.blocks)  # poses; other angles and numbers may be settings
+    for dimension in get_args(Dimension) if whole else ("length",):
+        unit, moved, largest = 1 / WRITTEN[dimension][1], np.zeros(bound.rows), 0.0
+        for name in (name for name, each in instrument.columns.items() if each == dimension):
+            step = _grid(samples.columns[name], unit * np.array(GRIDS))
+            if step and all(name != block.std for block in instrument.blocks):
+                shifted = replace(samples, columns={**samples.columns, name: samples.columns[name] + step})
+                moved += (bound.on(shifted).residual(bound.x0) - here) ** 2 / 12
+                largest = max(largest, step / unit)
+        blur = math.sqrt(float(moved.reshape(len(samples), -1).mean(axis=0).max()))
+        if blur > 1:
+            cause = (
+                f"readings are written in steps of {largest:g}{SHOWN_UNITS[dimension]}, which blurs them by {blur:.2g} "
+                "times the stated noise"
+            )
+            fix = "Read them more finely and write more digits, or declare a larger noise"
+            findings.append(Finding("warning", "readings rounded", cause, fix))
     return findings
 
 

@@ -412,6 +412,8 @@ def _with_arm(problem: Problem, samples: Samples, *, robot: Robot) -> Undone:
 
 def _rewritten(suspect: Suspect) -> Undo:
     def undo(problem: Problem, samples: Samples) -> Undone:
+        if suspect.change is not None:
+            return Undone(problem, replace(samples, columns=suspect.change(samples.columns)))
         order = suspect.order or suspect.columns
         pairs = zip(suspect.columns, order, strict=True)
         scaled = {name: samples.columns[true] * suspect.factor for name, true in pairs}

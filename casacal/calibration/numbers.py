@@ -274,8 +274,10 @@ def not_the_same(bound: BoundProblem, result: Result) -> list[Finding]:
 
 
 def without_its_likes(findings: Iterable[Finding]) -> list[Finding]:
-    """The findings without numbers that only look wrong because the scale of the readings is."""
+    """The findings without numbers that only look wrong because the scale of the readings is, or noise by rounding."""
     found = list(findings)
+    if any(each.about.endswith(" rounded") for each in found):
+        found = [each for each in found if each.about != "noise"]
     scaled = any(each.about == SCALE for each in found)
     if any(each.about.startswith(("tool or ", "tool, ")) for each in found):
         found = [each for each in found if each.about != TOOL]

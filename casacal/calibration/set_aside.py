@@ -136,6 +136,14 @@ def single_rows(bound: BoundProblem, result: Result, found: Outliers) -> list[Fi
             cause = f"with {by:+.3g} mm added to the reading {fits}: {dial}"
             findings.append(Finding("error", "lost revolution", cause, fix, lines, name))
         explained = {k for rows in turns.values() for k in rows}
+        if angle := _turned_alone(bound, result, own, found.limit * found.scale, i):
+            cause = (
+                f"position fits, and the orientation alone is off, by {angle}, as of a marker seen another way round"
+            )
+            fix = "Take the other of the two poses that the marker allows, or remove these rows"
+            lines = tuple(sorted(samples.lines[k] for k in own))
+            findings.append(Finding("error", "orientation flipped", cause, fix, lines, name))
+            continue
         lines = tuple(sorted(samples.lines[k] for k in own if k not in explained))
         if lines:
             off = f"{counted(len(lines))} off by up to {found.worst:.0f} standard deviations"
@@ -145,6 +153,23 @@ def single_rows(bound: BoundProblem, result: Result, found: Outliers) -> list[Fi
     return findings
 
 
+def _turned_alone(bound: BoundProblem, result: Result, rows: Sequence[int], most: float, i: int) -> str:
+    """By how much the orientation is off in some rows of instrument i whose position fits; empty where it is not so."""
+    blocks, own = bound.problem.instruments[i].blocks, bound.sample_rows(i)
+    units = np.array([block.unit for block in blocks for _ in range(block.size)])
+    if not rows or set(units) != {"mm", "rad"} or (own.stop - own.start) % units.size:
+        return ""
+    sizes = bound.residual(result.x)[own].reshape(-1, units.size)[rows]
+    chords = np.linalg.norm(
+        bound.plain_residual(result.x)[own].reshape(-1, units.size)[rows][:, units == "rad"], axis=1
+    )
+    if np.abs(sizes[:, units == "mm"]).max() > most or chords.min() < FLIPPED:
+        return ""
+    angles = np.degrees(2 * np.arcsin(np.minimum(chords / 2, 1)))
+    return f"{angles.min():.0f} degrees" if np.ptp(angles) < 1 else f"{angles.min():.0f} to {angles.max():.0f} degrees"
+
+
+FLIPPED = 0.3  # chord of the least turn by which the two poses of a marker differ
 TURNS_MM = (1.0, 0.5, 2.54, 0.2)
 """Length that one turn of a pointer shows, by dials on sale; several turns are only looked for of the first."""
 SHORT_TRAVEL = 2.0  # travel (mm) up to which a dial has turns of less than half a millimetre
