@@ -23,7 +23,7 @@ from casacal.calibration.before_fit import (
     sign_before_fit,
     upside_down,
 )
-from casacal.calibration.faults import ALIKE, EXPLAINED, SUSPICIOUS, MisfitCause, explained, flips
+from casacal.calibration.faults import ALIKE, EXPLAINED, SUSPICIOUS, MisfitCause, explained, flips, mispaired
 from casacal.calibration.finding import Finding, misfit, quick_fit
 from casacal.calibration.mirror import mirror_image
 from casacal.calibration.numbers import (
@@ -174,7 +174,7 @@ def check(problem: Problem, samples: Samples | Measurements, *, confirmed: bool 
     few = _few_of_each_face(problem, good)
     base = misfit(problem, few)
     gross = float(np.sqrt((some.plain_residual(some.x0) ** 2).mean())) > OF_TWO * scatter
-    cause = explained(problem, few, base, gross=gross) if base > SUSPICIOUS else None
+    cause = explained(problem, few, base, gross=gross, whole=samples) if base > SUSPICIOUS else None
     if cause is not None:  # it also explains single rows that lie off
         image = (
             []
@@ -192,6 +192,9 @@ def check(problem: Problem, samples: Samples | Measurements, *, confirmed: bool 
         findings += [*tool_elsewhere_at(*fitted), *wrong_scale(*fitted)]
     rest = bind(problem, good)
     findings += [*_invisible_flips(problem, few, base), *_rows(rest)]
+    off = np.isin(samples.lines, [line for each in findings if each.severity == "error" for line in each.lines])
+    if (slipped := mispaired(problem, samples, off)) is not None:
+        findings = [slipped, *(each for each in findings if not each.lines)]
     if all(finding.severity != "error" for finding in findings):
         findings += effect_findings(problem, few)
         findings += [] if confirmed else _image(rest)

@@ -24,6 +24,7 @@ from casacal.calibration.finding import (
 )
 from casacal.calibration.numbers import TOOL, alike_numbers, numbers, tool_keys
 from casacal.calibration.patterns import in_problem, patterns
+from casacal.calibration.set_aside import robust_fit, studentised_outliers
 from casacal.data.columns import Labels
 from casacal.data.samples import Samples
 from casacal.errors import CasacalError
@@ -34,7 +35,7 @@ from casacal.model.joints import Conventions
 from casacal.model.problem import Problem
 from casacal.model.problem_text import conventions_line
 from casacal.model.robot import Robot
-from casacal.values import Array
+from casacal.values import Array, Rows
 from casacal.wording import numbered_lines, times
 
 MOST_SCALE = 0.2  # part by which readings are too large beyond which it is no error of scale
@@ -45,6 +46,9 @@ PLACES = 12
 
 MOST_SHIFTS, WORTH = 3, 0.8  # shifts that are looked for; part of the misfit that a further one may leave
 
+MOST_PAIRED = 1200  # rows beyond which it takes too long to look where they slipped
+FEW_OFF, MOSTLY = 3, 0.5  # rows, and part of those from the first on, that lie off where readings slipped
+SURELY_OFF = 10.0  # times the median residual beyond which a row is off, however far
 FEWEST = 5  # rows that a face needs on either side of such a place to have a plane there
 
 
@@ -315,7 +319,6 @@ def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
         undo = partial(scaled, columns=lengths)
         yield Fault("scale of the readings", "the readings seem to be off in proportion", fix, undo, 1, False)
     if probe is not None and probe.column is not None:
-        yield from _one_row_off(probe.column)
         fix = "Let dial and arm warm up, fasten the stand, and measure again; touch one place at the beginning and end"
         yield Fault("drift", "the readings seem to drift", fix, partial(drifting, column=probe.column), 1)
         said = probe.zero_label or "session"
@@ -346,17 +349,47 @@ def _signs_of_faces(samples: Samples, column: str, label: str | None, ends: floa
             yield Fault(f"dial sign of '{name}'", cause, fix, undo)
 
 
-def _one_row_off(column: str) -> Iterator[Fault]:
-    """The column of readings slipped by one row against the joints, as in a spreadsheet; the row at the end is lost."""
-    for by, which in ((-1, "previous"), (1, "next")):
+def pairings(whole: Samples) -> Iterator[Fault]:
+    """Readings, or these and labels, slipped by a row against the joints from some line on, as by a lost detection."""
+    several = any(len(labels.names) > 1 for labels in whole.labels.values())
+    possible = bool(whole.columns) and len(whole) <= MOST_PAIRED
+    for what in ("readings", "readings and labels")[: 1 + several] if possible else ():
+        for by, which in ((-1, "previous"), (1, "next")):
+            cause = f"{what} seem to belong to the joints of the {which} row"
+            undo = partial(_paired, whole=whole, by=by, labels=what != "readings")
+            yield Fault("readings one row off", cause, "Move their columns by one row", undo, 1, common=False)
 
-        def undo(problem: Problem, samples: Samples, by: int = by) -> Undone:
-            rows = np.arange(len(samples) - 1) + max(by, 0)
-            reading = np.roll(samples.columns[column], by)
-            return Undone(problem, replace(samples, columns={**samples.columns, column: reading}).take(rows))
 
-        cause, fix = f"each reading seems to belong to the joints of the {which} row", "Move the column by one row"
-        yield Fault("readings one row off", cause, fix, undo, 1, common=False)
+def _paired(problem: Problem, samples: Samples, *, whole: Samples, by: int, labels: bool) -> Undone:
+    """All rows with readings of the row before (by 1) or after (by -1) from some row on, where all then fits best."""
+    del samples  # thinned ones are no neighbours
+    slipped = partial(_slipped, whole, by=by, labels=labels)
+    tried = range(0, len(whole) - 1, max(len(whole) // (PLACES + 1), 1))
+    sizes = {place: misfit(problem, slipped(place), steps=FIRST_STEPS) for place in tried}
+    place = min(sizes, key=sizes.__getitem__)
+    for _ in range(2):
+        fitted = quick_fit(problem, slipped(place))
+        if fitted is None:
+            return Undone(problem, whole)
+        bound, x = fitted[0], fitted[1].x
+        most = SURELY_OFF * np.median(bound.largest(np.abs(bound.residual(x))))
+        kept = np.minimum(bound.on(whole).largest(np.abs(bound.on(whole).residual(x))), most)
+        there, rest = slipped(0), bound.on(slipped(0))
+        moved = np.zeros(len(whole))
+        moved[max(by, 0) : max(by, 0) + len(there)] = np.minimum(rest.largest(np.abs(rest.residual(x))), most)
+        after = np.cumsum(moved[::-1])[::-1] - (moved if by > 0 else 0.0)  # a posture without a reading counts nothing
+        place = int(np.argmin((np.cumsum(kept) - kept + after)[:-1]))
+    said = f", from line {whole.lines[place - min(by, 0)]} on" if place else ""
+    return Undone(problem, slipped(place), said)
+
+
+def _slipped(samples: Samples, place: int, *, by: int, labels: bool) -> Samples:
+    """Rows with the readings of the row before (by 1), or after (by -1), from a place on; one row is lost."""
+    rows = np.arange(len(samples))
+    source = np.where(rows < place, rows, rows - by)
+    kept = rows[(source >= 0) & (source < len(samples)) & ((rows != place) | (by < 0))]
+    found, read = samples.take(kept), samples.take(source[kept])
+    return replace(found, columns=read.columns, labels=read.labels if labels else found.labels)
 
 
 def _some_units(samples: Samples, column: str, ends: tuple[float, float]) -> Iterator[Fault]:
@@ -457,22 +490,25 @@ class _Attempt:
         return sum(fault.freedom for fault in self.faults)
 
 
-def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = True) -> MisfitCause | None:
+def explained(
+    problem: Problem, samples: Samples, base: float, *, gross: bool = True, whole: Samples | None = None
+) -> MisfitCause | None:
     """The simplest cause of a misfit: one suspected fault, else two together; None where none explains it.
 
     problem: with one instrument. samples: its rows, some hundred. base: their misfit as they are. gross: whether it is
-    so large that two mistakes at once are looked for.
+    so large that two mistakes at once are looked for. whole: all rows in their order, where samples are some of them.
     """
     nothing = _Attempt((), Undone(problem, samples), 0.0)
-    tried = _looked_at_closely([each for fault in suspected(problem, samples) for each in _one(fault, nothing)])
+    faults = chain(suspected(problem, samples), pairings(samples if whole is None else whole))
+    tried = _looked_at_closely([each for fault in faults for each in _one(fault, nothing)])
     best = _simplest(tried)
     if best is None:
         return None
     if best.size > max(min(BETTER * base, EXPLAINED), SUSPICIOUS) and gross:
         makers = [_to_the_end(each) for fault in patterns(problem, samples) for each in _one(fault, nothing)]
-        whole = _simplest(makers)
-        if whole is not None and whole.size < min(BETTER * min(best.size, base), EXPLAINED):
-            return _misfit_cause(whole, base, makers, [])
+        maker = _simplest(makers)
+        if maker is not None and maker.size < min(BETTER * min(best.size, base), EXPLAINED):
+            return _misfit_cause(maker, base, makers, [])
         pairs = _pairs(tried, problem)
         both = _simplest(pairs)
         if both is not None and both.size < min(BETTER * min(best.size, base), EXPLAINED):
@@ -482,6 +518,20 @@ def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = 
     tool = [fault.about for fault in best.faults] == [TOOL]
     alike = alike_numbers(bind(problem, samples), tool_keys(problem)) if tool else ()
     return _misfit_cause(best, base, tried, [f"{name} elsewhere" for name in alike])
+
+
+def mispaired(problem: Problem, samples: Samples, off: Rows) -> Finding | None:
+    """Readings one row off from some line on, where most rows from one on (N,) are off, and none is then."""
+    if off.sum() < FEW_OFF or off[int(np.argmax(off)) :].mean() < MOSTLY:
+        return None
+    nothing = _Attempt((), Undone(problem, samples), 0.0)
+    for fault in pairings(samples):
+        for tried in _one(fault, nothing):
+            fitted = robust_fit(bind(problem, tried.undone.samples))
+            if tried.size <= SUSPICIOUS and (fitted is None or not studentised_outliers(*fitted).rows):
+                cause = f"{fault.cause}{tried.undone.found}: with that undone, no row lies off any more"
+                return Finding("error", fault.about, cause, fault.fix)
+    return None
 
 
 def _one(fault: Fault, before: _Attempt) -> Iterator[_Attempt]:
