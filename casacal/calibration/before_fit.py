@@ -16,7 +16,7 @@ from casacal.data.columns import Dimension
 from casacal.data.repeats import copies_of
 from casacal.data.samples import WRITTEN, Measurements, Samples
 from casacal.data.text import is_number
-from casacal.fit.bound_problem import BoundProblem, each_alone
+from casacal.fit.bound_problem import ABSURD, BoundProblem, each_alone
 from casacal.fit.nominal import nominal_sight
 from casacal.model.geometry import fitted_plane
 from casacal.model.instrument import OVERTRAVEL, Probe, readings_within
@@ -38,6 +38,20 @@ def repeated(samples: Samples) -> list[Finding]:
     cause = f"{counted(int(again.sum()))} with the same joints and readings as an earlier row"
     fix = "Remove them, unless the arm really went there twice and the dial read the same; each counts once"
     return [Finding("warning", "repeated rows", cause, fix, _lines(samples, again))]
+
+
+def lost_targets(problem: Problem, samples: Samples) -> list[Finding]:
+    """An error on rows in which a device tells no place: exact zeros, or numbers that nothing shows."""
+    names = [name for name, kind in problem.instrument.columns.items() if kind == "length"]
+    if not problem.instrument.words.accuracy or len(names) < 3:
+        return []
+    places = np.column_stack([samples.columns[name] for name in names])
+    lost = (places == 0).all(axis=1) | (np.abs(places) >= ABSURD).any(axis=1)
+    if not lost.any() or 2 * lost.sum() > len(lost):
+        return []
+    shown = " or ".join(dict.fromkeys(", ".join(f"{value:g}" for value in place) for place in places[lost]))
+    cause = f"the device tells no place there ({shown[:60]}), as of a target that was lost"
+    return [Finding("error", "lost target", cause, "Remove these lines, or measure them again", _lines(samples, lost))]
 
 
 def outside(problem: Problem, samples: Samples) -> list[Finding]:

@@ -15,6 +15,7 @@ from casacal.calibration.before_fit import (
     absent_labels,
     enough_rows,
     lost_steps,
+    lost_targets,
     odd_labels,
     outside,
     repeated,
@@ -158,7 +159,9 @@ def check(problem: Problem, samples: Samples | Measurements, *, confirmed: bool 
             raise CasacalError("The samples are not those of the problem's instruments", fix)
         return _in_order(_of_several(problem, samples, confirmed))
     samples = Measurements.of(samples).sets[0]
-    findings = [*repeated(samples), *outside(problem, samples)]
+    lost = lost_targets(problem, samples)
+    samples = samples.take(np.flatnonzero(~np.isin(samples.lines, [line for each in lost for line in each.lines])))
+    findings = [*lost, *repeated(samples), *outside(problem, samples)]
     findings += [*absent_labels(problem, samples), *odd_labels(problem, samples), *lost_steps(problem, samples)]
     samples = without_copies(samples)  # as calibrate takes them
     try:
@@ -192,13 +195,18 @@ def check(problem: Problem, samples: Samples | Measurements, *, confirmed: bool 
         findings += [*tool_elsewhere_at(*fitted), *wrong_scale(*fitted)]
     rest = bind(problem, good)
     findings += [*_invisible_flips(problem, few, base), *_rows(rest)]
-    off = np.isin(samples.lines, [line for each in findings if each.severity == "error" for line in each.lines])
-    if (slipped := mispaired(problem, samples, off)) is not None:
-        findings = [slipped, *(each for each in findings if not each.lines)]
+    findings = _with_slips(problem, samples, findings)
     if all(finding.severity != "error" for finding in findings):
         findings += effect_findings(problem, few)
         findings += [] if confirmed else _image(rest)
     return _in_order(findings)
+
+
+def _with_slips(problem: Problem, samples: Samples, findings: list[Finding]) -> list[Finding]:
+    """The findings, with readings that slipped by a row in place of the rows that lie off for it."""
+    off = np.isin(samples.lines, [line for each in findings if each.severity == "error" for line in each.lines])
+    slipped = mispaired(problem, samples, off)
+    return findings if slipped is None else [slipped, *(each for each in findings if not each.lines)]
 
 
 def _with_cause(findings: list[Finding], cause: MisfitCause, bound: BoundProblem, few: Samples) -> list[Finding]:
