@@ -279,7 +279,8 @@ class Diagnosis:
     postures: how many different ones the rows hold. further: the pose that would settle it, None where nothing is open.
     nearest: how far off the best is when none fits. odd_lines: rows without which one would.
     slips: single numbers in them that, changed, would let all rows fit, the best first. convention: of a DH table,
-    "standard" or "modified", in which it would fit when none does as the table is read.
+    "standard" or "modified", in which it would fit when none does as the table is read. order: in which the numbers of
+    the quaternion would fit when none does as the columns call them.
     """
 
     rows: PendantRows
@@ -292,6 +293,7 @@ class Diagnosis:
     odd_lines: tuple[int, ...] = ()
     slips: tuple[PendantSlip, ...] = ()
     convention: str = ""
+    order: str = ""
 
     @property
     def certain(self) -> bool:
@@ -359,6 +361,9 @@ def diagnose(
         return replace(found, further=further_pose(known.axes, robot, meanings, tolerance, seed=len(rows)))
     if more:
         return Diagnosis(rows, tolerance, (), True, 0, None, None)
+    for by, order in ((1, "x, y, z, w"), (-1, "w, x, y, z")) if rows.orientations.shape[1] == 4 else ():
+        if _meanings(known, replace(rows, orientations=np.roll(rows.orientations, by, axis=1)), tolerance)[0]:
+            return Diagnosis(rows, tolerance, (), False, 0, None, None, order=order)
     odd, slips = _odd(known, rows, tolerance) if len(rows) in WORTH_LEAVING_OUT else ((), ())
     convention, other = "", robot.in_other_convention()
     if other is not None and isinstance(other.arm, DHTable):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
@@ -19,6 +20,7 @@ LENGTHS = {"mm": 1.0, "m": 1000.0}  # units that are tried, with their factor to
 QUATERNION = ("qw", "qx", "qy", "qz")
 TRIPLES = (("rx", "ry", "rz"), ("a", "b", "c"), ("w", "p", "r"), ("o", "a", "t"))
 """Names that three columns of an orientation may have, in the order of the pendant; what they mean is found."""
+ENTRY = re.compile(r"(.*?)[_\[(]*(\d+)[\])]*")  # a column's name that ends in a number, such as T_0 or O_T_EE[0]
 LARGEST = 1e9  # what no joint value, length or angle of a robot exceeds in any unit
 
 
@@ -81,7 +83,8 @@ def read_pendant_rows(path: str | Path, turns: Sequence[bool]) -> PendantRows:
     """Read pendant rows of a robot whose joints turn or slide.
 
     Columns: q1, q2, ... with _deg or _rad (sliding: _mm, _m) or bare; x, y, z with _mm or _m or bare; an orientation as
-    qw, qx, qy, qz, or as three columns rx, ry, rz or a, b, c or w, p, r or o, a, t with _deg or _rad or bare.
+    qw, qx, qy, qz, or as three columns rx, ry, rz or a, b, c or w, p, r or o, a, t with _deg or _rad or bare. In place
+    of position and orientation the 16 numbers of a 4x4 matrix, row by row or column by column: O_T_EE_0 ... O_T_EE_15.
 
     Raises SamplesError.
     """
@@ -92,6 +95,8 @@ def read_pendant_rows(path: str | Path, turns: Sequence[bool]) -> PendantRows:
         if stem[:1] == "q" and stem[1:].isdigit() and not 1 <= int(stem[1:]) <= len(turns):
             fix = "Use the rows of this robot"
             raise SamplesError(table.file, f"the robot has {len(turns)} joints", fix, column=name)
+    if (matrix := _matrix_columns(table.header)) is not None:
+        return _rows_of_matrices(table, joints, turns, matrix)
     place = [_column(table, name, LENGTHS) for name in ("x", "y", "z")]
     stems = {name.split("_")[0] for name in table.header}
     if set(QUATERNION) <= set(table.header):
@@ -117,6 +122,43 @@ def read_pendant_rows(path: str | Path, turns: Sequence[bool]) -> PendantRows:
         table.lines,
         table.file,
         tuple(name for name, _ in (*joints, *place, *turn)),
+    )
+
+
+def _matrix_columns(header: Sequence[str]) -> list[str] | None:
+    """The columns that number the entries of a 4x4 matrix, 0 to 15 or 1 to 16 or 11 to 44, in their order."""
+    families: dict[str, dict[int, str]] = {}
+    for name in header:
+        if found := ENTRY.fullmatch(name):
+            families.setdefault(found[1], {})[int(found[2])] = name
+    for family in families.values():
+        for first in (range(16), range(1, 17), (10 * i + j for i in range(1, 5) for j in range(1, 5))):
+            wanted = list(first)
+            if set(wanted) <= set(family):
+                return [family[k] for k in wanted]
+    return None
+
+
+def _rows_of_matrices(
+    table: Table, joints: Sequence[tuple[str, str]], turns: Sequence[bool], names: Sequence[str]
+) -> PendantRows:
+    """Pendant rows whose pose is a matrix; where its zeros stand tells whether it was written by rows or columns."""
+    from scipy.spatial.transform import Rotation
+
+    poses = _numbers(table, [(name, "") for name in names]).reshape(-1, 4, 4)
+    last = np.array([0, 0, 0, 1])
+    if np.median(np.abs(poses[:, :, 3] - last)) < np.median(np.abs(poses[:, 3] - last)):
+        poses = poses.transpose(0, 2, 1)  # column by column, as libfranka does
+    turn = poses[:, :3, :3]
+    off = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) + np.abs(poses[:, 3] - last).max(axis=1)
+    for i in np.flatnonzero((off > 1e-2) | (np.linalg.det(turn) < 0))[:1]:
+        what = f"{names[0]} to {names[-1]} are no pose: three axes at right angles, a position, and 0, 0, 0, 1"
+        raise SamplesError(table.file, what, "Give the 16 numbers as they were read", line=table.lines[i])
+    units = [_one_unit(table, list(compress(joints, which))) for which in (turns, [not each for each in turns])]
+    columns = (*(name for name, _ in joints), *(f"{axis} of {names[0]}" for axis in "xyz"), *QUATERNION)
+    quaternions = np.roll(Rotation.from_matrix(turn).as_quat(), 1, axis=1)
+    return PendantRows(
+        _numbers(table, joints), poses[:, :3, 3], quaternions, units[0], units[1], "", table.lines, table.file, columns
     )
 
 
