@@ -62,7 +62,9 @@ def run(options: argparse.Namespace) -> int:
         if unread := unread_keys(options.dh):
             known = ", ".join(BLOCK_FIELDS)
             say_paragraphs(f"Taken for remarks, not for settings: {', '.join(unread)}. Known are {known}")
-        if table.parallel:
+        if table.note:
+            say_paragraphs(table.note)
+        elif table.parallel:
             axes = ", ".join(f"{row} and {row + 1}" for row in table.parallel)
             say_paragraphs(f"Parallel axes: {axes}; there Hayati's angle beta is calibrated in place of d")
     else:
