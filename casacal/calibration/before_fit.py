@@ -13,7 +13,7 @@ import numpy as np
 
 from casacal.calibration.finding import Finding, Severity
 from casacal.data.columns import Dimension
-from casacal.data.repeats import copies_of
+from casacal.data.repeats import copies_of, standstills
 from casacal.data.samples import WRITTEN, Measurements, Samples
 from casacal.data.text import is_number
 from casacal.fit.bound_problem import ABSURD, BoundProblem, each_alone
@@ -31,7 +31,10 @@ ENOUGH_ROWS = 12  # rows from which a common grid of values cannot be chance
 
 
 def repeated(samples: Samples) -> list[Finding]:
-    """Rows that hold the same joints, columns and labels as an earlier one."""
+    """Rows that hold the same joints, columns and labels as an earlier one, and standstills that were recorded."""
+    if (stood := int(standstills(samples).max(initial=-1)) + 1) < len(samples):
+        cause = f"{counted(len(samples), 'line')} are of {counted(stood, 'standstill')}, as a recorder writes them"
+        return [Finding("remark", "recorded standstills", cause, "Nothing to do: each counts once, as its mean")]
     again = copies_of(samples)
     if not again.any():
         return []
@@ -76,6 +79,7 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
         findings += _beyond_limits(samples, name, kind, instrument.reading_limits.get(name, (-math.inf, math.inf)))
     for i, (lower, upper) in enumerate(zip(*problem.robot.limits, strict=True)):
         bad = (samples.joints[:, i] < lower - 0.02) | (samples.joints[:, i] > upper + 0.02)
+        bad &= not (problem.robot.revolute[i] and upper - lower == 2 * math.pi)  # it turns on and on, however counted
         if bad.any():
             cause = f"{counted(int(bad.sum()), 'value')} outside the limits that the problem declares"
             fix = "Check the order, signs and units of the joint columns, or the limits"
