@@ -24,7 +24,7 @@ from casacal.calibration.before_fit import (
     sign_before_fit,
     upside_down,
 )
-from casacal.calibration.faults import ALIKE, EXPLAINED, SUSPICIOUS, MisfitCause, explained, flips, mispaired
+from casacal.calibration.faults import ALIKE, EXPLAINED, SUSPICIOUS, MisfitCause, cause_of_rows, explained, flips
 from casacal.calibration.finding import Finding, misfit, quick_fit
 from casacal.calibration.mirror import mirror_image
 from casacal.calibration.numbers import (
@@ -195,18 +195,18 @@ def check(problem: Problem, samples: Samples | Measurements, *, confirmed: bool 
         findings += [*tool_elsewhere_at(*fitted), *wrong_scale(*fitted)]
     rest = bind(problem, good)
     findings += [*_invisible_flips(problem, few, base), *_rows(rest)]
-    findings = _with_slips(problem, samples, findings)
+    findings = _with_cause_of_rows(problem, samples, findings)
     if all(finding.severity != "error" for finding in findings):
         findings += effect_findings(problem, few)
         findings += [] if confirmed else _image(rest)
     return _in_order(findings)
 
 
-def _with_slips(problem: Problem, samples: Samples, findings: list[Finding]) -> list[Finding]:
-    """The findings, with readings that slipped by a row in place of the rows that lie off for it."""
+def _with_cause_of_rows(problem: Problem, samples: Samples, findings: list[Finding]) -> list[Finding]:
+    """The findings, with what explains all rows that lie off, if something does, in their place."""
     off = np.isin(samples.lines, [line for each in findings if each.severity == "error" for line in each.lines])
-    slipped = mispaired(problem, samples, off)
-    return findings if slipped is None else [slipped, *(each for each in findings if not each.lines)]
+    cause = cause_of_rows(problem, samples, off)
+    return findings if cause is None else [cause, *(each for each in findings if not each.lines)]
 
 
 def _with_cause(findings: list[Finding], cause: MisfitCause, bound: BoundProblem, few: Samples) -> list[Finding]:

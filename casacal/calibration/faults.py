@@ -270,6 +270,17 @@ def _columns_and_joints(problem: Problem) -> Iterator[Fault]:
             yield Fault(f"joints {i + 1} and {j + 1} swapped", cause, fix, _turned(order))
 
 
+def _some_radians(problem: Problem, whole: Samples) -> Iterator[Fault]:
+    """Rows whose angles are all so small that they may be radians among rows of degrees."""
+    turns = problem.robot.revolute
+    small = np.all(np.abs(whole.joints[:, turns]) <= math.radians(2 * math.pi), axis=1)
+    if turns.any() and small.any() and not small.all():
+        lines = numbered_lines([whole.lines[k] for k in np.flatnonzero(small).tolist()])
+        changed = replace(whole, joints=whole.joints * np.where(np.outer(small, turns), 180 / math.pi, 1.0))
+        cause, fix = f"the joint angles of {lines} look like radians, written as degrees", "Write all rows in one unit"
+        yield Fault("unit of some joints", cause, fix, lambda problem, _: Undone(problem, changed), 1, common=False)
+
+
 def flips(problem: Problem) -> Iterator[Fault]:
     """Each joint counted the other way."""
     count, arm = len(problem.robot.axes), problem.robot.arm
@@ -314,10 +325,15 @@ def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
             cause = f"joint {j + 1} seems to slide as joint {i + 1} turns"
             yield Fault(about, cause, DOCTOR, partial(geared, turning=i, sliding=j), 1, False)
     lengths = [name for name, kind in problem.instrument.columns.items() if kind == "length"]
-    if probe is None and lengths:
-        fix = "Check the instrument's scale factor and its settings for air, or declare the scale as an unknown"
-        undo = partial(scaled, columns=lengths)
-        yield Fault("scale of the readings", "the readings seem to be off in proportion", fix, undo, 1, False)
+    if lengths:
+        who, fix = (
+            "readings",
+            "Check the instrument's scale factor and its settings for air, or declare the scale as an unknown",
+        )
+        if probe is not None:
+            who, fix = "dial", "Have the dial calibrated, or declare its gain as an unknown: gain=dial_gain(2)"
+        cause = f"the {'readings seem' if probe is None else 'dial seems'} to be off in proportion"
+        yield Fault(f"scale of the {who}", cause, fix, partial(scaled, columns=lengths), 1, False)
     if probe is not None and probe.column is not None:
         fix = "Let dial and arm warm up, fasten the stand, and measure again; touch one place at the beginning and end"
         yield Fault("drift", "the readings seem to drift", fix, partial(drifting, column=probe.column), 1)
@@ -499,7 +515,8 @@ def explained(
     so large that two mistakes at once are looked for. whole: all rows in their order, where samples are some of them.
     """
     nothing = _Attempt((), Undone(problem, samples), 0.0)
-    faults = chain(suspected(problem, samples), pairings(samples if whole is None else whole))
+    whole = samples if whole is None or len(whole) > MOST_PAIRED else whole
+    faults = chain(suspected(problem, samples), pairings(whole), _some_radians(problem, whole))
     tried = _looked_at_closely([each for fault in faults for each in _one(fault, nothing)])
     best = _simplest(tried)
     if best is None:
@@ -520,12 +537,11 @@ def explained(
     return _misfit_cause(best, base, tried, [f"{name} elsewhere" for name in alike])
 
 
-def mispaired(problem: Problem, samples: Samples, off: Rows) -> Finding | None:
-    """Readings one row off from some line on, where most rows from one on (N,) are off, and none is then."""
-    if off.sum() < FEW_OFF or off[int(np.argmax(off)) :].mean() < MOSTLY:
-        return None
+def cause_of_rows(problem: Problem, samples: Samples, off: Rows) -> Finding | None:
+    """What some rows that lie off (N,) have in common, with which undone none does: a slip by a row, or their unit."""
+    tail = off.sum() >= FEW_OFF and off[int(np.argmax(off)) :].mean() >= MOSTLY
     nothing = _Attempt((), Undone(problem, samples), 0.0)
-    for fault in pairings(samples):
+    for fault in chain(pairings(samples) if tail else (), _some_radians(problem, samples) if off.any() else ()):
         for tried in _one(fault, nothing):
             fitted = robust_fit(bind(problem, tried.undone.samples))
             if tried.size <= SUSPICIOUS and (fitted is None or not studentised_outliers(*fitted).rows):

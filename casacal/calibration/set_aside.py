@@ -17,7 +17,7 @@ from casacal.fit.least_squares import Result
 from casacal.fit.lm import lm
 from casacal.fit.nominal import nominal_sight, nominal_tips
 from casacal.kernels.losses import huber
-from casacal.model.geometry import fitted_plane
+from casacal.model.geometry import fitted_plane, rigid_fit
 from casacal.model.instrument import readings_within
 from casacal.model.problem import Problem
 from casacal.uncertainty.figures import leverages
@@ -353,7 +353,7 @@ def strays(problem: Problem, samples: Samples, scatter: float) -> tuple[Rows, li
     """
     bad, planes = np.zeros(len(samples), dtype=bool), dict[str, Array]()
     if problem.instrument.probe is None:
-        return bad, []
+        return _lost_places(problem, samples, scatter)
     tips, faces = nominal_tips(problem, 0, samples), samples.faces(problem.instrument.groups)
     for label, rows in faces.rows().items():
         if len(rows) >= 8:
@@ -378,6 +378,29 @@ def strays(problem: Problem, samples: Samples, scatter: float) -> tuple[Rows, li
         fix = "Check joints and readings of these rows, or remove them"
         findings.append(Finding("error", "outliers", cause, fix, tuple(lost)))
     return bad, findings
+
+
+def _lost_places(problem: Problem, samples: Samples, scatter: float) -> tuple[Rows, list[Finding]]:
+    """Rows (N,) whose place, as a device tells it, is far from that of the drawn tip by the best fit of the others."""
+    bad, names, instrument = np.zeros(len(samples), dtype=bool), ("x", "y", "z"), problem.instrument
+    if not instrument.words.accuracy or any(instrument.columns.get(name) != "length" for name in names):
+        return bad, []
+    tips, places = nominal_tips(problem, 0, samples), np.column_stack([samples.columns[name] for name in names])
+    rng, per = np.random.default_rng(0), (instrument.unknowns[key].per for key in instrument.datum)
+    for rows in samples.faces(next(filter(None, per), None)).rows().values():
+        best = np.full(len(rows), math.inf)
+        for _ in range(SUBSETS if len(rows) >= 8 else 0):
+            few = rng.choice(rows, 4, replace=False)
+            if (there := rigid_fit(tips[few], places[few])) is not None:
+                off = np.linalg.norm(tips[rows] @ there[:3, :3].T + there[:3, 3] - places[rows], axis=1)
+                best = min(best, off, key=np.median)
+        bad[rows] = np.isfinite(best) & (best > GROSS * max(1.4826 * float(np.median(best)), scatter))
+    if not bad.any() or bad.mean() > MOST_STRAYS:
+        return np.zeros(len(samples), dtype=bool), []
+    cause = f"{counted(int(bad.sum()), 'place')} far from where the arm, as drawn, and the others put it"
+    fix = "Remove these lines, or measure them again, if the target was lost; else look at their joint values"
+    lines = tuple(samples.lines[k] for k in np.flatnonzero(bad).tolist())
+    return bad, [Finding("error", "lost target", cause, fix, lines)]
 
 
 def _median_plane(tips: Array) -> tuple[Array, float]:

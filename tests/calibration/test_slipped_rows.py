@@ -7,7 +7,7 @@ import pytest
 from conftest import ROOT
 
 from casacal import check, load_problem
-from casacal.calibration.faults import _slipped, mispaired
+from casacal.calibration.faults import _slipped, cause_of_rows
 
 
 def measured(name):
@@ -76,7 +76,7 @@ def test_a_few_wrong_rows_are_not_said_to_have_slipped():
     assert found.about == "outliers"
     tail = np.arange(len(samples)) >= len(samples) - 4
     columns["x"][tail] += (5.0, -3.0, 8.0, 4.0)  # nor are the last ones, where that does not mend them
-    assert mispaired(problem, replace(samples, columns=columns), tail) is None
+    assert cause_of_rows(problem, replace(samples, columns=columns), tail) is None
 
 
 def test_rows_are_put_back():
