@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -30,10 +29,7 @@ MOST_JOINTS = 7
 QUARTERED = range(1, 5)  # joints, from 0, whose zero makers put a quarter turn elsewhere; the first only turns the base
 MOST_ROWS, MOST_GROUPS = 24, 3  # rows of a label, and labels, by which patterns are judged
 SPARE = 3  # rows of a label beyond those that its shape takes up
-BETTER, NEAR = (
-    0.25,
-    3.0,
-)  # part of what the plain pattern leaves, and times what the best does, that a pattern may leave
+BETTER, NEAR = 0.25, 3.0  # part of what the plain pattern leaves, and times the least, that a pattern may leave
 FITTED = 8  # patterns that are fitted, the simplest first
 BEYOND_LIMITS = 20  # changes that a pattern must spare to be believed though joints leave their limits
 CONVENTIONS = "joint conventions"
@@ -61,7 +57,8 @@ def patterns(problem: Problem, samples: Samples) -> Iterator[Fault]:
     places = np.indices([len(some) for some in settings]).reshape(count, -1)
     changes = sum((some != own).sum(axis=1)[at] for some, own, at in zip(settings, plain, places, strict=True))
     local = np.einsum("nij,ni->nj", sight.poses[:, :3, :3], sight.tips - sight.poses[:, :3, 3])
-    left = _left(problem, samples, sight.columns, partial(tips_of, axes, settings), local @ axes.turn.T + axes.place)
+    points, q = local @ axes.turn.T + axes.place, samples.joints
+    left = _left(problem, samples, sight.columns, lambda rows: tips_of(axes, settings, q[rows], points[rows]))
     near = np.flatnonzero((left <= NEAR * left.min()) & (left <= BETTER * left[changes == 0]) & (changes > 1))
     found = []
     for at in near[np.lexsort((left[near], changes[near]))][: FITTED * FITTED].tolist():
@@ -104,16 +101,10 @@ def _carried(axes: Axes, settings: Sequence[Index], joints: range, q: Array, poi
     return points
 
 
-def _left(
-    problem: Problem,
-    samples: Samples,
-    columns: Mapping[str, Array],
-    tips_of: Callable[[Array, Array], Array],
-    points: Array,
-) -> Array:
+def _left(problem: Problem, samples: Samples, columns: Mapping[str, Array], tips_of: Callable[[Index], Array]) -> Array:
     """RMS distance (P,; mm, infinite without enough rows of a label) of all tips from what the readings allow.
 
-    tips_of: (N, 3, P) at joint values (N, n) and points (N, 3) on the arm at its zero.
+    tips_of: tips (N, 3, P) of some rows.
     """
     instrument, few = problem.instrument, problem.models[0].components < 3
     quadric = few and instrument.probe is None
@@ -129,7 +120,7 @@ def _left(
         spare = beside.shape[1] - (3 + quadric if few else 0)
         if spare < SPARE:
             continue
-        tips = tips_of(samples.joints[rows], points[rows])
+        tips = tips_of(rows)
         if quadric:
             far = (tips**2).sum(axis=1, keepdims=True)
             tips = np.concatenate([tips, far / (2 * math.sqrt(float(far.mean())))], axis=1)
@@ -152,13 +143,9 @@ def _mixed(pattern: Index) -> Array:
 def _fault(problem: Problem, samples: Samples, mixing: Array, pattern: Index, plain: Index) -> Fault:
     """A pattern (n, 3) as a fault, of more freedom where joints would leave their limits."""
     robot, inverse = problem.robot, np.linalg.inv(mixing)
-    sign, quarter, factor = pattern.T
-    changed = np.flatnonzero((pattern != plain).any(axis=1)).tolist()
-    meant = Conventions(
-        tuple(sign.tolist()),
-        tuple((quarter * (math.pi / 2)).tolist()),
-        ((3, 2, float(factor[2])),) if any(factor) else (),
-    )
+    (sign, quarter, factor), changed = pattern.T.tolist(), np.flatnonzero((pattern != plain).any(axis=1)).tolist()
+    coupling = ((3, 2, float(factor[2])),) if any(factor) else ()
+    meant = Conventions(tuple(sign), tuple(turn * math.pi / 2 for turn in quarter), coupling)
 
     def undo(problem: Problem, samples: Samples) -> Undone:
         return Undone(problem, replace(samples, joints=meant.to_model(samples.joints) @ inverse.T))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -88,15 +89,13 @@ def read_pendant_rows(path: str | Path, turns: Sequence[bool]) -> PendantRows:
 
     Raises SamplesError.
     """
-    table = read_table(path)
+    table = _with_poses(read_table(path))
     joints = [_column(table, f"q{i}", ANGLES if turning else LENGTHS) for i, turning in enumerate(turns, 1)]
     for name in table.header:
         stem = name.split("_")[0]
         if stem[:1] == "q" and stem[1:].isdigit() and not 1 <= int(stem[1:]) <= len(turns):
             fix = "Use the rows of this robot"
             raise SamplesError(table.file, f"the robot has {len(turns)} joints", fix, column=name)
-    if (matrix := _matrix_columns(table.header)) is not None:
-        return _rows_of_matrices(table, joints, turns, matrix)
     place = [_column(table, name, LENGTHS) for name in ("x", "y", "z")]
     stems = {name.split("_")[0] for name in table.header}
     if set(QUATERNION) <= set(table.header):
@@ -125,41 +124,33 @@ def read_pendant_rows(path: str | Path, turns: Sequence[bool]) -> PendantRows:
     )
 
 
-def _matrix_columns(header: Sequence[str]) -> list[str] | None:
-    """The columns that number the entries of a 4x4 matrix, 0 to 15 or 1 to 16 or 11 to 44, in their order."""
-    families: dict[str, dict[int, str]] = {}
-    for name in header:
-        if found := ENTRY.fullmatch(name):
-            families.setdefault(found[1], {})[int(found[2])] = name
-    for family in families.values():
-        for first in (range(16), range(1, 17), (10 * i + j for i in range(1, 5) for j in range(1, 5))):
-            wanted = list(first)
-            if set(wanted) <= set(family):
-                return [family[k] for k in wanted]
-    return None
+def _with_poses(table: Table) -> Table:
+    """A table with position and quaternion beside the 16 numbers of a matrix, where it has these.
 
-
-def _rows_of_matrices(
-    table: Table, joints: Sequence[tuple[str, str]], turns: Sequence[bool], names: Sequence[str]
-) -> PendantRows:
-    """Pendant rows whose pose is a matrix; where its zeros stand tells whether it was written by rows or columns."""
+    They are numbered 0 to 15, 1 to 16 or 11 to 44. Where the zeros stand says whether they come row by row.
+    """
     from scipy.spatial.transform import Rotation
 
-    poses = _numbers(table, [(name, "") for name in names]).reshape(-1, 4, 4)
-    last = np.array([0, 0, 0, 1])
-    if np.median(np.abs(poses[:, :, 3] - last)) < np.median(np.abs(poses[:, 3] - last)):
-        poses = poses.transpose(0, 2, 1)  # column by column, as libfranka does
-    turn = poses[:, :3, :3]
-    off = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) + np.abs(poses[:, 3] - last).max(axis=1)
-    for i in np.flatnonzero((off > 1e-2) | (np.linalg.det(turn) < 0))[:1]:
-        what = f"{names[0]} to {names[-1]} are no pose: three axes at right angles, a position, and 0, 0, 0, 1"
-        raise SamplesError(table.file, what, "Give the 16 numbers as they were read", line=table.lines[i])
-    units = [_one_unit(table, list(compress(joints, which))) for which in (turns, [not each for each in turns])]
-    columns = (*(name for name, _ in joints), *(f"{axis} of {names[0]}" for axis in "xyz"), *QUATERNION)
-    quaternions = np.roll(Rotation.from_matrix(turn).as_quat(), 1, axis=1)
-    return PendantRows(
-        _numbers(table, joints), poses[:, :3, 3], quaternions, units[0], units[1], "", table.lines, table.file, columns
-    )
+    found = [(match[1], int(match[2]), name) for name in table.header if (match := ENTRY.fullmatch(name))]
+    by_number = {(family, number): name for family, number, name in found}
+    counts = (range(16), range(1, 17), [10 * i + j for i in range(1, 5) for j in range(1, 5)])
+    for family, count in itertools.product(dict.fromkeys(each[0] for each in found), counts):
+        names = [by_number.get((family, number), "") for number in count]
+        if not all(names):
+            continue
+        poses, last = _numbers(table, [(name, "") for name in names]).reshape(-1, 4, 4), np.array([0, 0, 0, 1])
+        if np.median(np.abs(poses[:, :, 3] - last)) < np.median(np.abs(poses[:, 3] - last)):
+            poses = poses.transpose(0, 2, 1)  # column by column, as libfranka does
+        turn = poses[:, :3, :3]
+        skew = (turn @ turn.transpose(0, 2, 1) - np.eye(3)).reshape(-1, 9)
+        off = np.abs(np.hstack([skew, poses[:, 3] - last])).max(axis=1)
+        for i in np.flatnonzero((off > 1e-2) | (np.linalg.det(turn) < 0))[:1]:
+            what = f"{names[0]} to {names[-1]} are no pose: three axes at right angles, a position, and 0, 0, 0, 1"
+            raise SamplesError(table.file, what, "Give the 16 numbers as they were read", line=table.lines[i])
+        added = np.hstack([poses[:, :3, 3], np.roll(Rotation.from_matrix(turn).as_quat(), 1, axis=1)]).tolist()
+        rows = tuple((*row, *map(repr, more)) for row, more in zip(table.with_points().rows, added, strict=True))
+        return replace(table, header=(*table.header, "x", "y", "z", *QUATERNION), rows=rows, decimal_comma=False)
+    return table
 
 
 def _column(table: Table, name: str, units: dict[str, float]) -> tuple[str, str]:
