@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
+
+from casacal.wording import numbered_lines
 
 __all__ = ["ProblemError", "RefusedResultError", "SamplesError", "SimulationError", "StudyError"]
 LONGEST = 1000  # letters of a refusal that anybody reads
@@ -45,16 +47,22 @@ class CasacalError(Exception):
 
 
 class SamplesError(CasacalError):
-    """A samples file that cannot be read as declared: names the file and, where known, line and column."""
+    """A samples file that cannot be read as declared: names the file and, where known, line and column.
 
-    def __init__(self, file: str, what: str, fix: str, *, line: int | None = None, column: str | None = None) -> None:
+    also: further lines of which the same is true.
+    """
+
+    def __init__(
+        self, file: str, what: str, fix: str, *, line: int | None = None, column: str | None = None,
+        also: Sequence[int] = (),
+    ) -> None:  # fmt: skip
         self.file, self.line, self.column = file, line, column
         place = file
         if line is not None:
             place += f", line {line}"
         if column is not None:
             place += f", column '{column}'"
-        super().__init__(f"{place}: {what}", fix)
+        super().__init__(f"{place}: {what}{f'; {numbered_lines(also)} likewise' if len(also) else ''}", fix)
 
 
 class ProblemError(CasacalError):

@@ -7,15 +7,16 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
+from typing import get_args
 
 import numpy as np
 
 from casacal.calibration.finding import Finding, Severity
 from casacal.data.columns import Dimension
-from casacal.data.repeats import copies_of
+from casacal.data.repeats import copies_of, standstills
 from casacal.data.samples import WRITTEN, Measurements, Samples
 from casacal.data.text import is_number
-from casacal.fit.bound_problem import BoundProblem, each_alone
+from casacal.fit.bound_problem import ABSURD, BoundProblem, each_alone
 from casacal.fit.nominal import nominal_sight
 from casacal.model.geometry import fitted_plane
 from casacal.model.instrument import OVERTRAVEL, Probe, readings_within
@@ -30,13 +31,30 @@ ENOUGH_ROWS = 12  # rows from which a common grid of values cannot be chance
 
 
 def repeated(samples: Samples) -> list[Finding]:
-    """Rows that hold the same joints, columns and labels as an earlier one."""
+    """Rows that hold the same joints, columns and labels as an earlier one, and standstills that were recorded."""
+    if (stood := int(standstills(samples).max(initial=-1)) + 1) < len(samples):
+        cause = f"{counted(len(samples), 'line')} are of {counted(stood, 'standstill')}, as a recorder writes them"
+        return [Finding("remark", "recorded standstills", cause, "Nothing to do: each counts once, as its mean")]
     again = copies_of(samples)
     if not again.any():
         return []
     cause = f"{counted(int(again.sum()))} with the same joints and readings as an earlier row"
     fix = "Remove them, unless the arm really went there twice and the dial read the same; each counts once"
     return [Finding("warning", "repeated rows", cause, fix, _lines(samples, again))]
+
+
+def lost_targets(problem: Problem, samples: Samples) -> list[Finding]:
+    """An error on rows in which a device tells no place: exact zeros, or numbers that nothing shows."""
+    names = [name for name, kind in problem.instrument.columns.items() if kind == "length"]
+    if not problem.instrument.words.accuracy or len(names) < 3:
+        return []
+    places = np.column_stack([samples.columns[name] for name in names])
+    lost = (places == 0).all(axis=1) | (np.abs(places) >= ABSURD).any(axis=1)
+    if not lost.any() or 2 * lost.sum() > len(lost):
+        return []
+    shown = " or ".join(dict.fromkeys(", ".join(f"{value:g}" for value in place) for place in places[lost]))
+    cause = f"the device tells no place there ({shown[:60]}), as of a target that was lost"
+    return [Finding("error", "lost target", cause, "Remove these lines, or measure them again", _lines(samples, lost))]
 
 
 def outside(problem: Problem, samples: Samples) -> list[Finding]:
@@ -61,6 +79,7 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
         findings += _beyond_limits(samples, name, kind, instrument.reading_limits.get(name, (-math.inf, math.inf)))
     for i, (lower, upper) in enumerate(zip(*problem.robot.limits, strict=True)):
         bad = (samples.joints[:, i] < lower - 0.02) | (samples.joints[:, i] > upper + 0.02)
+        bad &= not (problem.robot.revolute[i] and upper - lower == 2 * math.pi)  # it turns on and on, however counted
         if bad.any():
             cause = f"{counted(int(bad.sum()), 'value')} outside the limits that the problem declares"
             fix = "Check the order, signs and units of the joint columns, or the limits"
@@ -115,12 +134,24 @@ def rounded(bound: BoundProblem) -> list[Finding]:
             )
             fix = "Log the joints with more digits, or declare the joint repeatability"
             findings.append(Finding("error" if effect > 2 * noise else "warning", "joints rounded", cause, fix))
-    lengths = [name for name, kind in bound.problem.instrument.columns.items() if kind == "length"]
-    step = max((_grid(samples.columns[name], np.array(GRIDS)) for name in lengths), default=0.0)
-    if step / math.sqrt(12) > noise:
-        cause = f"readings are written in steps of {step:g} mm; the stated noise is {noise:.2g} mm"
-        fix = "Read the dial more finely, or declare a larger noise_std"
-        findings.append(Finding("warning", "readings rounded", cause, fix))
+    instrument, here = bound.problem.instrument, bound.residual(bound.x0)
+    whole = any(block.unit == "rad" for block in instrument.blocks)  # poses; other angles and numbers may be settings
+    for dimension in get_args(Dimension) if whole else ("length",):
+        unit, moved, largest = 1 / WRITTEN[dimension][1], np.zeros(bound.rows), 0.0
+        for name in (name for name, each in instrument.columns.items() if each == dimension):
+            step = _grid(samples.columns[name], unit * np.array(GRIDS))
+            if step and all(name != block.std for block in instrument.blocks):
+                shifted = replace(samples, columns={**samples.columns, name: samples.columns[name] + step})
+                moved += (bound.on(shifted).residual(bound.x0) - here) ** 2 / 12
+                largest = max(largest, step / unit)
+        blur = math.sqrt(float(moved.reshape(len(samples), -1).mean(axis=0).max()))
+        if blur > 1:
+            cause = (
+                f"readings are written in steps of {largest:g}{SHOWN_UNITS[dimension]}, which blurs them by {blur:.2g} "
+                "times the stated noise"
+            )
+            fix = "Read them more finely and write more digits, or declare a larger noise"
+            findings.append(Finding("warning", "readings rounded", cause, fix))
     return findings
 
 

@@ -19,7 +19,7 @@ from casacal.calibration.mirror import mirror_image
 from casacal.calibration.motion import Motion, Tried, among, used_arm
 from casacal.calibration.numbers import tool_elsewhere_at, wrong_number, wrong_scale
 from casacal.calibration.sensitivity import Sensitivity, sensitivity
-from casacal.data.repeats import copies_of
+from casacal.data.repeats import without_copies
 from casacal.data.samples import Measurements, Samples
 from casacal.deployment.result import MirrorImage
 from casacal.effects.selection import (
@@ -231,15 +231,16 @@ class Calibration(Value):
 
     @cached_property
     def copies(self) -> int:
-        """Rows that are copies of an earlier one, to the last digit, and so neither fitted nor held out."""
-        return int(sum(copies_of(some).sum() for some in Measurements.of(self.samples).sets))
+        """Rows that say again what another says, copies and lines of one standstill: neither fitted nor held out."""
+        return sum(len(some) - len(without_copies(some)) for some in Measurements.of(self.samples).sets)
 
     @cached_property
     def repeated(self) -> tuple[Finding, ...]:
         """Warnings of copied rows, with the instrument's name where there are several."""
         measured = Measurements.of(self.samples)
         pairs = zip(measured.names, measured.sets, strict=True)
-        return tuple(replace(finding, instrument=name) for name, some in pairs for finding in repeated(some))
+        found = ((name, finding) for name, some in pairs for finding in repeated(some) if finding.severity == "warning")
+        return tuple(replace(finding, instrument=name) for name, finding in found)
 
     @cached_property
     def labels_alike(self) -> tuple[Finding, ...]:

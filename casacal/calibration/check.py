@@ -16,6 +16,7 @@ from casacal.calibration.before_fit import (
     absent_labels,
     enough_rows,
     lost_steps,
+    lost_targets,
     odd_labels,
     outside,
     repeated,
@@ -24,9 +25,9 @@ from casacal.calibration.before_fit import (
     sign_before_fit,
     upside_down,
 )
-from casacal.calibration.faults import ALIKE, EXPLAINED, SUSPICIOUS, MisfitCause, explained, flips
+from casacal.calibration.faults import ALIKE, EXPLAINED, MOVED, SUSPICIOUS, MisfitCause, cause_of_rows, explained, flips
 from casacal.calibration.finding import Finding, misfit, quick_fit
-from casacal.calibration.midway import STUCK, changed_midway
+from casacal.calibration.midway import SOMETHING, STUCK, changed_midway
 from casacal.calibration.mirror import mirror_image
 from casacal.calibration.numbers import (
     tool_elsewhere_at,
@@ -35,6 +36,7 @@ from casacal.calibration.numbers import (
     wrong_number,
     wrong_scale,
 )
+from casacal.calibration.patterns import CONVENTIONS
 from casacal.calibration.set_aside import off_their_face, robust_fit, single_rows, studentised_outliers
 from casacal.data.repeats import without_copies
 from casacal.data.samples import Measurements, Samples
@@ -125,7 +127,7 @@ MOST_ROWS = 600  # rows used to look for systematic faults; more add time, not i
 OF_A_FACE = 12  # rows of a face, where faces are many, that tell of systematic faults
 SPREAD = 20_000  # rows that tell of the set-up and of what the prior explains; more add memory, not insight
 
-MOST_STRAY = 0.1  # part of the rows beyond which those far off their face are no single rows
+MOST_STRAY = 0.1  # part of the rows beyond which those far off their face are no single rows: all are judged
 
 OF_TWO = 3.0
 """Times what prior errors explain by which the drawn arm must miss before two mistakes at once are looked for."""
@@ -155,45 +157,61 @@ def check(problem: Problem, samples: Samples | Measurements, *, confirmed: bool 
             fix = f"Give Measurements of {', '.join(problem.names)}"
             raise CasacalError("The samples are not those of the problem's instruments", fix)
         return _in_order(_of_several(problem, samples, confirmed))
-    samples = Measurements.of(samples).sets[0]
-    findings = [*repeated(samples), *outside(problem, samples)]
+    return _in_order(_of_one(problem, Measurements.of(samples).sets[0], confirmed))
+
+
+def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding]:
+    """Findings on the samples of a problem's only instrument."""
+    lost = lost_targets(problem, samples)
+    samples = samples.take(np.flatnonzero(~np.isin(samples.lines, [line for each in lost for line in each.lines])))
+    findings = [*lost, *repeated(samples), *outside(problem, samples)]
     findings += [*absent_labels(problem, samples), *odd_labels(problem, samples), *lost_steps(problem, samples)]
     samples = without_copies(samples)  # as calibrate takes them
     try:
         bound = bind(problem, samples)
     except CasacalError as error:
-        return (Finding("error", UNBOUND, error.what, error.fix), *_in_order(findings))
+        return [Finding("error", UNBOUND, error.what, error.fix), *findings]
     some = bound if len(samples) <= SPREAD else bound.on(samples.take(_evenly(len(samples), SPREAD)))
     scatter = prior_scatter(some, flat_counts=True).rms
     if steps := upside_down(some, scatter):
-        return _in_order([*steps, *findings])
+        return [*steps, *findings]
     bad, stray = off_their_face(bound, scatter)
-    good = samples.take(np.flatnonzero(~bad)) if bad.any() else samples
+    many = bad.sum() > MOST_STRAY * len(samples)
+    good = samples.take(np.flatnonzero(~bad)) if bad.any() and not many else samples
     few = _few_of_each_face(problem, good)
     base = misfit(problem, few)
     gross = float(np.sqrt((some.plain_residual(some.x0) ** 2).mean())) > OF_TWO * scatter
-    many = bad.sum() > MOST_STRAY * len(samples)  # then it may be their order
-    midway = changed_midway(problem, _few_of_each_face(problem, samples)) if base > SUSPICIOUS and many else None
-    if midway is not None:
-        return _in_order([midway, *findings])
-    cause = explained(problem, few, base, gross=gross) if base > SUSPICIOUS else None
+    cause = explained(problem, few, base, gross=gross, whole=samples) if base > SUSPICIOUS else None
+    moved = cause is not None and cause.finding.about == MOVED  # what a joint that slipped looks like, and labels
+    midway = changed_midway(problem, few) if base > SUSPICIOUS and (cause is None or moved) else None
+    if midway is not None and not (moved and midway.about.startswith(SOMETHING)):
+        return [midway, *findings]
     if cause is not None:  # it also explains single rows that lie off
-        return _in_order(_with_cause(findings, cause, some, few))
+        findings = _with_cause(findings, cause, some, few)
+        unsure = cause.finding.about == CONVENTIONS and not confirmed
+        return [*findings, *(_image(bind(cause.undone.problem, cause.undone.samples)) if unsure else [])]
     findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some)]
     findings += stray if base <= EXPLAINED else []  # else the other rows miss as well, and these are not the cause
     if base > SUSPICIOUS:
-        midway = None if many else changed_midway(problem, _few_of_each_face(problem, samples))
-        return _in_order([midway or _unexplained(problem, samples, base, findings), *findings])
+        return [_unexplained(problem, samples, base, findings), *findings]
     quick = quick_fit(problem, few)
     if quick is not None:
         fitted = quick[0], quick[1].x, quick[1].covariance
         findings += [*tool_elsewhere_at(*fitted), *wrong_scale(*fitted)]
     rest = bind(problem, good)
     findings += [*_invisible_flips(problem, few, base), *_rows(rest)]
+    findings = _with_cause_of_rows(problem, samples, findings)
     if all(finding.severity != "error" for finding in findings):
         findings += effect_findings(problem, few)
         findings += [] if confirmed else _image(rest)
-    return _in_order(findings)
+    return findings
+
+
+def _with_cause_of_rows(problem: Problem, samples: Samples, findings: list[Finding]) -> list[Finding]:
+    """The findings, with what explains all rows that lie off, if something does, in their place."""
+    off = np.isin(samples.lines, [line for each in findings if each.severity == "error" for line in each.lines])
+    cause = cause_of_rows(problem, samples, off)
+    return findings if cause is None else [cause, *(each for each in findings if not each.lines)]
 
 
 def _with_cause(findings: list[Finding], cause: MisfitCause, bound: BoundProblem, few: Samples) -> list[Finding]:
@@ -208,7 +226,7 @@ def _with_cause(findings: list[Finding], cause: MisfitCause, bound: BoundProblem
                         fix="Write the readings without the minus")  # fmt: skip
     elif found.about == WRONG_SIGN:
         found = replace(found, cause="; ".join([found.cause, *(each.cause for each in sign_before_fit(bound))]))
-    faces = few if "something moved" in found.about else undone.samples  # which calls those touched later by new names
+    faces = few if MOVED in found.about else undone.samples  # which calls those touched later by new names
     weak = setup_findings(bind(undone.problem, replace(undone.samples, labels=faces.labels)))
     return [found, *kept, *(finding for finding in weak if finding.about != "few rows")]
 

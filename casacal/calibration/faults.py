@@ -23,6 +23,8 @@ from casacal.calibration.finding import (
     weighted,
 )
 from casacal.calibration.numbers import TOOL, alike_numbers, numbers, tool_keys
+from casacal.calibration.patterns import in_problem, patterns
+from casacal.calibration.set_aside import robust_fit, studentised_outliers
 from casacal.data.columns import Labels
 from casacal.data.samples import Samples
 from casacal.errors import CasacalError
@@ -33,9 +35,10 @@ from casacal.model.joints import Conventions
 from casacal.model.problem import Problem
 from casacal.model.problem_text import conventions_line
 from casacal.model.robot import Robot
-from casacal.values import Array
+from casacal.values import Array, Rows
 from casacal.wording import numbered_lines, times
 
+MOVED = "something moved"
 MOST_SCALE = 0.2  # part by which readings are too large beyond which it is no error of scale
 ROUNDS = 4  # Gauss-Newton steps for the size of a fault; all are nearly linear in it
 
@@ -44,6 +47,9 @@ PLACES = 12
 
 MOST_SHIFTS, WORTH = 3, 0.8  # shifts that are looked for; part of the misfit that a further one may leave
 
+MOST_PAIRED = 1200  # rows beyond which it takes too long to look where they slipped
+FEW_OFF, MOSTLY = 3, 0.5  # rows, and part of those from the first on, that lie off where readings slipped
+SURELY_OFF = 10.0  # times the median residual beyond which a row is off, however far
 FEWEST = 5  # rows that a face needs on either side of such a place to have a plane there
 
 
@@ -265,6 +271,17 @@ def _columns_and_joints(problem: Problem) -> Iterator[Fault]:
             yield Fault(f"joints {i + 1} and {j + 1} swapped", cause, fix, _turned(order))
 
 
+def _some_radians(problem: Problem, whole: Samples) -> Iterator[Fault]:
+    """Rows whose angles are all so small that they may be radians among rows of degrees."""
+    turns = problem.robot.revolute
+    small = np.all(np.abs(whole.joints[:, turns]) <= math.radians(2 * math.pi), axis=1)
+    if turns.any() and small.any() and not small.all():
+        lines = numbered_lines([whole.lines[k] for k in np.flatnonzero(small).tolist()])
+        changed = replace(whole, joints=whole.joints * np.where(np.outer(small, turns), 180 / math.pi, 1.0))
+        cause, fix = f"the joint angles of {lines} look like radians, written as degrees", "Write all rows in one unit"
+        yield Fault("unit of some joints", cause, fix, lambda problem, _: Undone(problem, changed), 1, common=False)
+
+
 def flips(problem: Problem) -> Iterator[Fault]:
     """Each joint counted the other way."""
     count, arm = len(problem.robot.axes), problem.robot.arm
@@ -282,7 +299,8 @@ def flips(problem: Problem) -> Iterator[Fault]:
 
 def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
     """Mistakes that concern the tool, one face, two joints, or the order of the rows."""
-    probe, turns = problem.instrument.probe, problem.robot.revolute
+    probe, turns, arm = problem.instrument.probe, problem.robot.revolute, problem.robot.arm
+    own = None if arm is None else arm.conventions
     if tool_keys(problem):
         fix = "Measure the tool from the flange again, and correct it in the problem file"
         cause = "the tool seems to be elsewhere"
@@ -301,17 +319,23 @@ def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
                 coupled[j, i] = factor
                 said = "turns" if turns[j] else "slides"
                 cause = f"joint {j + 1} seems to {said[:-1]} {'with' if factor > 0 else 'against'} joint {i + 1}"
-                yield Fault(about, cause, DOCTOR, _turned(coupled), common=False)
+                meant = replace(Conventions.plain(len(turns)), coupling=((j + 1, i + 1, factor),))
+                fix = DOCTOR + ("" if own is not None and own.coupling else in_problem(problem.robot, meant))
+                yield Fault(about, cause, fix, _turned(coupled), common=False)
         elif turns[i]:
             cause = f"joint {j + 1} seems to slide as joint {i + 1} turns"
             yield Fault(about, cause, DOCTOR, partial(geared, turning=i, sliding=j), 1, False)
     lengths = [name for name, kind in problem.instrument.columns.items() if kind == "length"]
-    if probe is None and lengths:
-        fix = "Check the instrument's scale factor and its settings for air, or declare the scale as an unknown"
-        undo = partial(scaled, columns=lengths)
-        yield Fault("scale of the readings", "the readings seem to be off in proportion", fix, undo, 1, False)
+    if lengths:
+        who, fix = (
+            "readings",
+            "Check the instrument's scale factor and its settings for air, or declare the scale as an unknown",
+        )
+        if probe is not None:
+            who, fix = "dial", "Have the dial calibrated, or declare its gain as an unknown: gain=dial_gain(2)"
+        cause = f"the {'readings seem' if probe is None else 'dial seems'} to be off in proportion"
+        yield Fault(f"scale of the {who}", cause, fix, partial(scaled, columns=lengths), 1, False)
     if probe is not None and probe.column is not None:
-        yield from _one_row_off(probe.column)
         fix = "Let dial and arm warm up, fasten the stand, and measure again; touch one place at the beginning and end"
         yield Fault("drift", "the readings seem to drift", fix, partial(drifting, column=probe.column), 1)
         said = probe.zero_label or "session"
@@ -321,7 +345,7 @@ def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
         yield Fault("dial set to zero anew", cause, fix, partial(zero_moved, column=probe.column), 2, False)
     if problem.instrument.groups is not None:
         fix = "Fasten base, tool and faces, and measure again, or give the faces other labels from there on"
-        yield Fault("something moved", "base, tool or faces seem to have moved", fix, somewhere_moved, 9, False)
+        yield Fault(MOVED, "base, tool or faces seem to have moved", fix, somewhere_moved, 9, False)
 
 
 def _signs_of_faces(samples: Samples, column: str, label: str | None, ends: float) -> Iterator[Fault]:
@@ -342,17 +366,47 @@ def _signs_of_faces(samples: Samples, column: str, label: str | None, ends: floa
             yield Fault(f"dial sign of '{name}'", cause, fix, undo)
 
 
-def _one_row_off(column: str) -> Iterator[Fault]:
-    """The column of readings slipped by one row against the joints, as in a spreadsheet; the row at the end is lost."""
-    for by, which in ((-1, "previous"), (1, "next")):
+def pairings(whole: Samples) -> Iterator[Fault]:
+    """Readings, or these and labels, slipped by a row against the joints from some line on, as by a lost detection."""
+    several = any(len(labels.names) > 1 for labels in whole.labels.values())
+    possible = bool(whole.columns) and len(whole) <= MOST_PAIRED
+    for what in ("readings", "readings and labels")[: 1 + several] if possible else ():
+        for by, which in ((-1, "previous"), (1, "next")):
+            cause = f"{what} seem to belong to the joints of the {which} row"
+            undo = partial(_paired, whole=whole, by=by, labels=what != "readings")
+            yield Fault("readings one row off", cause, "Move their columns by one row", undo, 1, common=False)
 
-        def undo(problem: Problem, samples: Samples, by: int = by) -> Undone:
-            rows = np.arange(len(samples) - 1) + max(by, 0)
-            reading = np.roll(samples.columns[column], by)
-            return Undone(problem, replace(samples, columns={**samples.columns, column: reading}).take(rows))
 
-        cause, fix = f"each reading seems to belong to the joints of the {which} row", "Move the column by one row"
-        yield Fault("readings one row off", cause, fix, undo, 1, common=False)
+def _paired(problem: Problem, samples: Samples, *, whole: Samples, by: int, labels: bool) -> Undone:
+    """All rows with readings of the row before (by 1) or after (by -1) from some row on, where all then fits best."""
+    del samples  # thinned ones are no neighbours
+    slipped = partial(_slipped, whole, by=by, labels=labels)
+    tried = range(0, len(whole) - 1, max(len(whole) // (PLACES + 1), 1))
+    sizes = {place: misfit(problem, slipped(place), steps=FIRST_STEPS) for place in tried}
+    place = min(sizes, key=sizes.__getitem__)
+    for _ in range(2):
+        fitted = quick_fit(problem, slipped(place))
+        if fitted is None:
+            return Undone(problem, whole)
+        bound, x = fitted[0], fitted[1].x
+        most = SURELY_OFF * np.median(bound.largest(np.abs(bound.residual(x))))
+        kept = np.minimum(bound.on(whole).largest(np.abs(bound.on(whole).residual(x))), most)
+        there, rest = slipped(0), bound.on(slipped(0))
+        moved = np.zeros(len(whole))
+        moved[max(by, 0) : max(by, 0) + len(there)] = np.minimum(rest.largest(np.abs(rest.residual(x))), most)
+        after = np.cumsum(moved[::-1])[::-1] - (moved if by > 0 else 0.0)  # a posture without a reading counts nothing
+        place = int(np.argmin((np.cumsum(kept) - kept + after)[:-1]))
+    said = f", from line {whole.lines[place - min(by, 0)]} on" if place else ""
+    return Undone(problem, slipped(place), said)
+
+
+def _slipped(samples: Samples, place: int, *, by: int, labels: bool) -> Samples:
+    """Rows with the readings of the row before (by 1), or after (by -1), from a place on; one row is lost."""
+    rows = np.arange(len(samples))
+    source = np.where(rows < place, rows, rows - by)
+    kept = rows[(source >= 0) & (source < len(samples)) & ((rows != place) | (by < 0))]
+    found, read = samples.take(kept), samples.take(source[kept])
+    return replace(found, columns=read.columns, labels=read.labels if labels else found.labels)
 
 
 def _some_units(samples: Samples, column: str, ends: tuple[float, float]) -> Iterator[Fault]:
@@ -408,6 +462,8 @@ def _with_arm(problem: Problem, samples: Samples, *, robot: Robot) -> Undone:
 
 def _rewritten(suspect: Suspect) -> Undo:
     def undo(problem: Problem, samples: Samples) -> Undone:
+        if suspect.change is not None:
+            return Undone(problem, replace(samples, columns=suspect.change(samples.columns)))
         order = suspect.order or suspect.columns
         pairs = zip(suspect.columns, order, strict=True)
         scaled = {name: samples.columns[true] * suspect.factor for name, true in pairs}
@@ -451,18 +507,26 @@ class _Attempt:
         return sum(fault.freedom for fault in self.faults)
 
 
-def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = True) -> MisfitCause | None:
+def explained(
+    problem: Problem, samples: Samples, base: float, *, gross: bool = True, whole: Samples | None = None
+) -> MisfitCause | None:
     """The simplest cause of a misfit: one suspected fault, else two together; None where none explains it.
 
     problem: with one instrument. samples: its rows, some hundred. base: their misfit as they are. gross: whether it is
-    so large that two mistakes at once are looked for.
+    so large that two mistakes at once are looked for. whole: all rows in their order, where samples are some of them.
     """
     nothing = _Attempt((), Undone(problem, samples), 0.0)
-    tried = _looked_at_closely([each for fault in suspected(problem, samples) for each in _one(fault, nothing)])
+    whole = samples if whole is None or len(whole) > MOST_PAIRED else whole
+    faults = chain(suspected(problem, samples), pairings(whole), _some_radians(problem, whole))
+    tried = _looked_at_closely([each for fault in faults for each in _one(fault, nothing)])
     best = _simplest(tried)
     if best is None:
         return None
     if best.size > max(min(BETTER * base, EXPLAINED), SUSPICIOUS) and gross:
+        makers = [_to_the_end(each) for fault in patterns(problem, samples) for each in _one(fault, nothing)]
+        maker = _simplest(makers)
+        if maker is not None and maker.size < min(BETTER * min(best.size, base), EXPLAINED):
+            return _misfit_cause(maker, base, makers, [])
         pairs = _pairs(tried, problem)
         both = _simplest(pairs)
         if both is not None and both.size < min(BETTER * min(best.size, base), EXPLAINED):
@@ -472,6 +536,19 @@ def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = 
     tool = [fault.about for fault in best.faults] == [TOOL]
     alike = alike_numbers(bind(problem, samples), tool_keys(problem)) if tool else ()
     return _misfit_cause(best, base, tried, [f"{name} elsewhere" for name in alike])
+
+
+def cause_of_rows(problem: Problem, samples: Samples, off: Rows) -> Finding | None:
+    """What some rows that lie off (N,) have in common, with which undone none does: a slip by a row, or their unit."""
+    tail = off.sum() >= FEW_OFF and off[int(np.argmax(off)) :].mean() >= MOSTLY
+    nothing = _Attempt((), Undone(problem, samples), 0.0)
+    for fault in chain(pairings(samples) if tail else (), _some_radians(problem, samples) if off.any() else ()):
+        for tried in _one(fault, nothing):
+            fitted = robust_fit(bind(problem, tried.undone.samples))
+            if tried.size <= SUSPICIOUS and (fitted is None or not studentised_outliers(*fitted).rows):
+                cause = f"{fault.cause}{tried.undone.found}: with that undone, no row lies off any more"
+                return Finding("error", fault.about, cause, fault.fix)
+    return None
 
 
 def _one(fault: Fault, before: _Attempt) -> Iterator[_Attempt]:

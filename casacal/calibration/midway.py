@@ -25,6 +25,7 @@ from casacal.model.problem import Problem
 from casacal.uncertainty.figures import effective_unknowns
 from casacal.wording import times
 
+SOMETHING = "something changed"
 FEWEST = 20  # rows that must fit by themselves; fewer fit to much
 FEW_LEFT = 5  # rows beyond the line; fewer are single rows
 UNEXPECTED = 25.0  # chi-square of a row that those before it do not expect: five standard deviations
@@ -106,7 +107,7 @@ def _what_changed(problem: Problem, good: Samples, rest: Samples) -> tuple[str, 
         tried.append((misfit(problem, change), about, cause, fix))
     if tried and (best := min(tried))[0] <= SUSPICIOUS:
         return best[1:]
-    if base > SUSPICIOUS and (own := explained(problem, rest, base)) is not None:
+    if base > SUSPICIOUS and (own := explained(problem, rest, base, whole=rest)) is not None:
         return own.finding.about, own.finding.cause, f"Mend these rows alone: {own.finding.fix}"
     cause = (
         f"they do not fit ({times(base)} times the stated noise by themselves)"
@@ -114,7 +115,7 @@ def _what_changed(problem: Problem, good: Samples, rest: Samples) -> tuple[str, 
         else ("they fit by themselves too, but not to the others")
     )
     fix = "Find out what was changed there: arm, base, tool, dial, faces or the recording; measure those rows again"
-    return "something changed", cause, fix
+    return SOMETHING, cause, fix
 
 
 def _changes(problem: Problem, good: Samples, rest: Samples) -> Iterator[tuple[str, Samples, str, str]]:

@@ -260,8 +260,10 @@ def wrong_scale(bound: ArmProblem, x: Array, covariance: Array) -> list[Finding]
 
 
 def without_its_likes(findings: Iterable[Finding]) -> list[Finding]:
-    """The findings without numbers that only look wrong because the scale of the readings is."""
+    """The findings without numbers that only look wrong because the scale of the readings is, or noise by rounding."""
     found = list(findings)
+    if any(each.about.endswith(" rounded") for each in found):
+        found = [each for each in found if each.about != "noise"]
     scaled = any(each.about == SCALE for each in found)
     if any(each.about.startswith(("tool or ", "tool, ")) for each in found):
         found = [each for each in found if each.about != TOOL]

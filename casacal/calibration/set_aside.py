@@ -17,7 +17,7 @@ from casacal.fit.least_squares import Result
 from casacal.fit.lm import lm
 from casacal.fit.nominal import nominal_sight, nominal_tips
 from casacal.kernels.losses import huber
-from casacal.model.geometry import fitted_plane
+from casacal.model.geometry import fitted_plane, rigid_fit
 from casacal.model.instrument import readings_within
 from casacal.model.problem import Problem
 from casacal.uncertainty.figures import leverages
@@ -136,6 +136,14 @@ def single_rows(bound: BoundProblem, result: Result, found: Outliers) -> list[Fi
             cause = f"with {by:+.3g} mm added to the reading {fits}: {dial}"
             findings.append(Finding("error", "lost revolution", cause, fix, lines, name))
         explained = {k for rows in turns.values() for k in rows}
+        if angle := _turned_alone(bound, result, own, found.limit * found.scale, i):
+            cause = (
+                f"position fits, and the orientation alone is off, by {angle}, as of a marker seen another way round"
+            )
+            fix = "Take the other of the two poses that the marker allows, or remove these rows"
+            lines = tuple(sorted(samples.lines[k] for k in own))
+            findings.append(Finding("error", "orientation flipped", cause, fix, lines, name))
+            continue
         lines = tuple(sorted(samples.lines[k] for k in own if k not in explained))
         if lines:
             off = f"{counted(len(lines))} off by up to {found.worst:.0f} standard deviations"
@@ -145,6 +153,23 @@ def single_rows(bound: BoundProblem, result: Result, found: Outliers) -> list[Fi
     return findings
 
 
+def _turned_alone(bound: BoundProblem, result: Result, rows: Sequence[int], most: float, i: int) -> str:
+    """By how much the orientation is off in some rows of instrument i whose position fits; empty where it is not so."""
+    blocks, own = bound.problem.instruments[i].blocks, bound.sample_rows(i)
+    units = np.array([block.unit for block in blocks for _ in range(block.size)])
+    if not rows or set(units) != {"mm", "rad"} or (own.stop - own.start) % units.size:
+        return ""
+    sizes = bound.residual(result.x)[own].reshape(-1, units.size)[rows]
+    chords = np.linalg.norm(
+        bound.plain_residual(result.x)[own].reshape(-1, units.size)[rows][:, units == "rad"], axis=1
+    )
+    if np.abs(sizes[:, units == "mm"]).max() > most or chords.min() < FLIPPED:
+        return ""
+    angles = np.degrees(2 * np.arcsin(np.minimum(chords / 2, 1)))
+    return f"{angles.min():.0f} degrees" if np.ptp(angles) < 1 else f"{angles.min():.0f} to {angles.max():.0f} degrees"
+
+
+FLIPPED = 0.3  # chord of the least turn by which the two poses of a marker differ
 TURNS_MM = (1.0, 0.5, 2.54, 0.2)
 """Length that one turn of a pointer shows, by dials on sale; several turns are only looked for of the first."""
 SHORT_TRAVEL = 2.0  # travel (mm) up to which a dial has turns of less than half a millimetre
@@ -328,7 +353,7 @@ def strays(problem: Problem, samples: Samples, scatter: float) -> tuple[Rows, li
     """
     bad, planes = np.zeros(len(samples), dtype=bool), dict[str, Array]()
     if problem.instrument.probe is None:
-        return bad, []
+        return _lost_places(problem, samples, scatter)
     tips, faces = nominal_tips(problem, 0, samples), samples.faces(problem.instrument.groups)
     for label, rows in faces.rows().items():
         if len(rows) >= 8:
@@ -353,6 +378,29 @@ def strays(problem: Problem, samples: Samples, scatter: float) -> tuple[Rows, li
         fix = "Check joints and readings of these rows, or remove them"
         findings.append(Finding("error", "outliers", cause, fix, tuple(lost)))
     return bad, findings
+
+
+def _lost_places(problem: Problem, samples: Samples, scatter: float) -> tuple[Rows, list[Finding]]:
+    """Rows (N,) whose place, as a device tells it, is far from that of the drawn tip by the best fit of the others."""
+    bad, names, instrument = np.zeros(len(samples), dtype=bool), ("x", "y", "z"), problem.instrument
+    if not instrument.words.accuracy or any(instrument.columns.get(name) != "length" for name in names):
+        return bad, []
+    tips, places = nominal_tips(problem, 0, samples), np.column_stack([samples.columns[name] for name in names])
+    rng, per = np.random.default_rng(0), (instrument.unknowns[key].per for key in instrument.datum)
+    for rows in samples.faces(next(filter(None, per), None)).rows().values():
+        best = np.full(len(rows), math.inf)
+        for _ in range(SUBSETS if len(rows) >= 8 else 0):
+            few = rng.choice(rows, 4, replace=False)
+            if (there := rigid_fit(tips[few], places[few])) is not None:
+                off = np.linalg.norm(tips[rows] @ there[:3, :3].T + there[:3, 3] - places[rows], axis=1)
+                best = min(best, off, key=np.median)
+        bad[rows] = np.isfinite(best) & (best > GROSS * max(1.4826 * float(np.median(best)), scatter))
+    if not bad.any() or bad.mean() > MOST_STRAYS:
+        return np.zeros(len(samples), dtype=bool), []
+    cause = f"{counted(int(bad.sum()), 'place')} far from where the arm, as drawn, and the others put it"
+    fix = "Remove these lines, or measure them again, if the target was lost; else look at their joint values"
+    lines = tuple(samples.lines[k] for k in np.flatnonzero(bad).tolist())
+    return bad, [Finding("error", "lost target", cause, fix, lines)]
 
 
 def _median_plane(tips: Array) -> tuple[Array, float]:

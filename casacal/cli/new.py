@@ -68,7 +68,9 @@ def run(options: argparse.Namespace) -> int:
             missing.append(
                 "joint limits: the table gives none that differ from those of any joint, -180 to 180 degrees"
             )
-        if table.parallel:
+        if table.note:
+            say_paragraphs(table.note)
+        elif table.parallel:
             axes = ", ".join(f"{row} and {row + 1}" for row in table.parallel)
             say_paragraphs(f"Parallel axes: {axes}; there Hayati's angle beta is calibrated in place of d")
     else:

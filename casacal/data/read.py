@@ -43,9 +43,10 @@ def columns_of_arrays(arrays: Mapping[str, Any], file: str, digest: str) -> Colu
             raise SamplesError(file, f"the column holds {_kind(values)}, not numbers", "Store float64", column=name)
         with np.errstate(all="ignore"):  # a number beyond float64 becomes infinite, and is refused as such
             values = np.asarray(values, dtype=np.float64)
-        for row in np.flatnonzero(~np.isfinite(values))[:1]:
-            what = f"'{values[row]}' is not a finite number"
-            raise SamplesError(file, what, "Mend or remove the row", line=int(row) + 1, column=name)
+        if (bad := np.flatnonzero(~np.isfinite(values))).size:
+            line, *also = (bad + 1).tolist()
+            what = f"'{values[bad[0]]}' is not a finite number"
+            raise SamplesError(file, what, "Mend or remove the row", line=line, column=name, also=also)
         return values
 
     def text(name: str) -> Labels:

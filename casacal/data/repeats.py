@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -64,8 +64,44 @@ def copies_of(samples: Samples) -> Rows:
     return np.asarray(again)
 
 
+RECORDED, AT_REST = 8, 3e-4
+"""Lines one after another that a recorder, and no hand, writes of one standstill; noise of its joints (rad, mm)."""
+ALIKE = 0.1  # range (mm, rad, number) of a column over a standstill within which its mean is meant even near zero
+
+
+def standstills(samples: Samples) -> Index:
+    """Which standstill (N,) each line is of, as a recorder writes them; each of its own where most are not so."""
+    count = len(samples)
+    codes = np.column_stack([np.zeros(count), *(labels.codes for labels in samples.labels.values())])
+    begins = [0]
+    moved = (np.abs(np.diff(samples.joints, axis=0)) > AT_REST).any(axis=1) | (np.diff(codes, axis=0) != 0).any(axis=1)
+    begins += (np.flatnonzero(moved) + 1).tolist()
+    sizes = np.diff([*begins, count])
+    recorded = "purpose" not in samples.extra and 2 * sizes[sizes >= RECORDED].sum() > count
+    return np.repeat(np.arange(len(sizes)), sizes) if recorded else np.arange(count)
+
+
+def once_each(samples: Samples) -> Samples:
+    """A row for each standstill of a recording: the mean of its lines, or the middle one where signs or turns jump."""
+    codes = standstills(samples)
+    sizes = np.bincount(codes)
+    if len(sizes) == len(samples):
+        return samples
+    first = np.cumsum(sizes) - sizes
+    middle, columns = samples.take(first + sizes // 2), dict[str, Array]()
+    jumps = np.zeros(len(sizes), dtype=bool)
+    for values in samples.columns.values():
+        span = np.maximum.reduceat(values, first) - np.minimum.reduceat(values, first)
+        jumps |= (span > ALIKE) & (span > np.maximum.reduceat(np.abs(values), first))
+    for name, values in samples.columns.items():
+        columns[name] = np.where(jumps, middle.columns[name], np.add.reduceat(values, first) / sizes)
+    joints = np.add.reduceat(samples.joints, first, axis=0) / sizes[:, None]
+    return replace(middle, joints=joints, columns=columns)
+
+
 def without_copies(samples: Samples) -> Samples:
-    """The rows of one instrument without copies."""
+    """The rows of one instrument without copies, and each standstill of a recording once."""
+    samples = once_each(samples)
     again = copies_of(samples)
     return samples.take(np.flatnonzero(~again)) if again.any() else samples
 

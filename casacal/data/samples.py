@@ -313,11 +313,12 @@ class Samples(Value):
             np.multiply(columns.number(column), factor, out=place)
             largest = math.inf if absurd else LARGEST[layout.quantities[name]]
             if not math.isinf(largest) and max(place.max(), -place.min()) > largest:
-                row = int(np.flatnonzero(np.abs(place) > largest)[0])
+                row, *further = np.flatnonzero(np.abs(place) > largest).tolist()
                 limit = "100 m" if largest == LARGEST["length"] else "10 turns"
                 what = f"{columns.cell(column, row)} is absurd (beyond {limit})"
                 fix = "Check the value and the unit in the column's name"
-                raise SamplesError(columns.file, what, fix, line=columns.lines[row], column=column)
+                also = [int(columns.lines[k]) for k in further]
+                raise SamplesError(columns.file, what, fix, line=columns.lines[row], column=column, also=also)
             place.setflags(write=False)
             return place
 

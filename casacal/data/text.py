@@ -164,17 +164,18 @@ class Table:
 def finite_numbers(
     file: str, name: str, cells: Sequence[str], lines: Sequence[int], *, decimal_comma: bool = False
 ) -> list[float]:
-    """Cells of a column as finite numbers; raises SamplesError that names line and column of another."""
-    result = []
-    for cell, line in zip(cells, lines, strict=True):
-        text = cell.replace(",", ".") if decimal_comma else cell
-        value = float(text) if NUMBER.fullmatch(text) else math.nan
-        if not math.isfinite(value):
-            shown = UNSHOWN.sub(lambda found: ascii(found[0])[1:-1], cell[:40])
-            what = f"'{shown}' is not a finite number" if cell else "the cell is empty"
-            fix = "Give a plain decimal number such as 12.5" if cell else "Give a number, or remove the line"
-            raise SamplesError(file, what, fix, line=int(line), column=name)
-        result.append(value)
+    """Cells of a column as finite numbers; raises SamplesError that names column and lines of all others."""
+    texts = [cell.replace(",", ".") for cell in cells] if decimal_comma else cells
+    result = [float(text) if NUMBER.fullmatch(text) else math.nan for text in texts]
+    bad = [k for k, value in enumerate(result) if not math.isfinite(value)]
+    if bad:
+        cell, (line, *also) = cells[bad[0]], (int(lines[k]) for k in bad)
+        shown = UNSHOWN.sub(lambda found: ascii(found[0])[1:-1], cell[:40])
+        what = f"'{shown}' is not a finite number" if cell else "the cell is empty"
+        fix = "Give a plain decimal number such as 12.5" if cell else "Give a number, or remove the line"
+        if also:
+            fix = "Give plain decimal numbers such as 12.5, or remove these lines: targets may have been lost there"
+        raise SamplesError(file, what, fix, line=line, column=name, also=also)
     return result
 
 

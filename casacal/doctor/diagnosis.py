@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casacal.doctor.pendant_rows import ANGLES, LENGTHS, PendantRows, angle_between, rotations_as, rotations_of
-from casacal.doctor.search import Axes, Halves, Integers, axes_of, one_change_away, poses_of, settings_changed
+from casacal.doctor.search import Halves, Integers, one_change_away, poses_of, settings_changed
 from casacal.errors import CasacalError
+from casacal.model.axes import Axes, axes_of
 from casacal.model.dh_table import DHTable
 from casacal.model.joints import Conventions
 from casacal.model.robot import AXIS_WEIGHT, Robot, inside_limits, random_joints
@@ -278,7 +279,8 @@ class Diagnosis:
     postures: how many different ones the rows hold. further: the pose that would settle it, None where nothing is open.
     nearest: how far off the best is when none fits. odd_lines: rows without which one would.
     slips: single numbers in them that, changed, would let all rows fit, the best first. convention: of a DH table,
-    "standard" or "modified", in which it would fit when none does as the table is read.
+    "standard" or "modified", in which it would fit when none does as the table is read. order: in which the numbers of
+    the quaternion would fit when none does as the columns call them.
     """
 
     rows: PendantRows
@@ -291,6 +293,7 @@ class Diagnosis:
     odd_lines: tuple[int, ...] = ()
     slips: tuple[PendantSlip, ...] = ()
     convention: str = ""
+    order: str = ""
 
     @property
     def certain(self) -> bool:
@@ -358,6 +361,9 @@ def diagnose(
         return replace(found, further=further_pose(known.axes, robot, meanings, tolerance, seed=len(rows)))
     if more:
         return Diagnosis(rows, tolerance, (), True, 0, None, None)
+    for by, order in ((1, "x, y, z, w"), (-1, "w, x, y, z")) if rows.orientations.shape[1] == 4 else ():
+        if _meanings(known, replace(rows, orientations=np.roll(rows.orientations, by, axis=1)), tolerance)[0]:
+            return Diagnosis(rows, tolerance, (), False, 0, None, None, order=order)
     odd, slips = _odd(known, rows, tolerance) if len(rows) in WORTH_LEAVING_OUT else ((), ())
     convention, other = "", robot.in_other_convention()
     if other is not None and isinstance(other.arm, DHTable):

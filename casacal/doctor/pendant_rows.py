@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
@@ -19,6 +21,7 @@ LENGTHS = {"mm": 1.0, "m": 1000.0}  # units that are tried, with their factor to
 QUATERNION = ("qw", "qx", "qy", "qz")
 TRIPLES = (("rx", "ry", "rz"), ("a", "b", "c"), ("w", "p", "r"), ("o", "a", "t"))
 """Names that three columns of an orientation may have, in the order of the pendant; what they mean is found."""
+ENTRY = re.compile(r"(.*?)[_\[(]*(\d+)[\])]*")  # a column's name that ends in a number, such as T_0 or O_T_EE[0]
 LARGEST = 1e9  # what no joint value, length or angle of a robot exceeds in any unit
 
 
@@ -81,11 +84,12 @@ def read_pendant_rows(path: str | Path, turns: Sequence[bool]) -> PendantRows:
     """Read pendant rows of a robot whose joints turn or slide.
 
     Columns: q1, q2, ... with _deg or _rad (sliding: _mm, _m) or bare; x, y, z with _mm or _m or bare; an orientation as
-    qw, qx, qy, qz, or as three columns rx, ry, rz or a, b, c or w, p, r or o, a, t with _deg or _rad or bare.
+    qw, qx, qy, qz, or as three columns rx, ry, rz or a, b, c or w, p, r or o, a, t with _deg or _rad or bare. In place
+    of position and orientation the 16 numbers of a 4x4 matrix, row by row or column by column: O_T_EE_0 ... O_T_EE_15.
 
     Raises SamplesError.
     """
-    table = read_table(path)
+    table = _with_poses(read_table(path))
     joints = [_column(table, f"q{i}", ANGLES if turning else LENGTHS) for i, turning in enumerate(turns, 1)]
     for name in table.header:
         stem = name.split("_")[0]
@@ -118,6 +122,35 @@ def read_pendant_rows(path: str | Path, turns: Sequence[bool]) -> PendantRows:
         table.file,
         tuple(name for name, _ in (*joints, *place, *turn)),
     )
+
+
+def _with_poses(table: Table) -> Table:
+    """A table with position and quaternion beside the 16 numbers of a matrix, where it has these.
+
+    They are numbered 0 to 15, 1 to 16 or 11 to 44. Where the zeros stand says whether they come row by row.
+    """
+    from scipy.spatial.transform import Rotation
+
+    found = [(match[1], int(match[2]), name) for name in table.header if (match := ENTRY.fullmatch(name))]
+    by_number = {(family, number): name for family, number, name in found}
+    counts = (range(16), range(1, 17), [10 * i + j for i in range(1, 5) for j in range(1, 5)])
+    for family, count in itertools.product(dict.fromkeys(each[0] for each in found), counts):
+        names = [by_number.get((family, number), "") for number in count]
+        if not all(names):
+            continue
+        poses, last = _numbers(table, [(name, "") for name in names]).reshape(-1, 4, 4), np.array([0, 0, 0, 1])
+        if np.median(np.abs(poses[:, :, 3] - last)) < np.median(np.abs(poses[:, 3] - last)):
+            poses = poses.transpose(0, 2, 1)  # column by column, as libfranka does
+        turn = poses[:, :3, :3]
+        skew = (turn @ turn.transpose(0, 2, 1) - np.eye(3)).reshape(-1, 9)
+        off = np.abs(np.hstack([skew, poses[:, 3] - last])).max(axis=1)
+        for i in np.flatnonzero((off > 1e-2) | (np.linalg.det(turn) < 0))[:1]:
+            what = f"{names[0]} to {names[-1]} are no pose: three axes at right angles, a position, and 0, 0, 0, 1"
+            raise SamplesError(table.file, what, "Give the 16 numbers as they were read", line=table.lines[i])
+        added = np.hstack([poses[:, :3, 3], np.roll(Rotation.from_matrix(turn).as_quat(), 1, axis=1)]).tolist()
+        rows = tuple((*row, *map(repr, more)) for row, more in zip(table.with_points().rows, added, strict=True))
+        return replace(table, header=(*table.header, "x", "y", "z", *QUATERNION), rows=rows, decimal_comma=False)
+    return table
 
 
 def _column(table: Table, name: str, units: dict[str, float]) -> tuple[str, str]:

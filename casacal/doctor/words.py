@@ -140,6 +140,9 @@ def _nothing_fits(found: Diagnosis) -> Iterable[str]:
     if found.convention:
         yield f"They fit with the DH table read as {found.convention}: correct the convention that the problem states"
         return
+    if found.order:
+        yield f"They fit with the numbers of the quaternion in the order {found.order}: rename its columns accordingly"
+        return
     if found.slips:
         listed = []
         for slip in found.slips:

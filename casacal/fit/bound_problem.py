@@ -104,7 +104,8 @@ def _refuse_absurd(samples: Samples) -> None:
     for name, values in {**joints, **samples.columns}.items():
         if not np.abs(values).max() < ABSURD and len(far := np.flatnonzero(np.abs(values) >= ABSURD)):
             what = f"{values[far[0]]:g} as {name} is no value that anything shows"
-            raise SamplesError(samples.file, what, "Check the value and its unit", line=samples.lines[far[0]])
+            line, *also = (int(samples.lines[k]) for k in far.tolist())
+            raise SamplesError(samples.file, what, "Check the value and its unit", line=line, also=also)
 
 
 def _refuse_kinks(bound: BoundProblem) -> None:

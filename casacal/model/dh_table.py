@@ -14,6 +14,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
+import casadi as ca
 import numpy as np
 
 from casacal.data.text import LINE_END, NUMBER, decode, read_table
@@ -25,6 +26,11 @@ from casacal.model.unknown import Parameter, Unknown, spread
 Stds = float | Sequence[float] | None
 NEARLY = math.radians(5.0)
 """Largest angle between axes that count as parallel: below it, the foot of their common normal moves far too easily."""
+
+
+FARTHEST = 20_000.0  # mm: no arm has such a length
+FAR_FEET, EXACTLY = 3_000.0, 1e-9
+"""Distance (mm) along an axis from which common normals of nearly parallel ones are not used; sine of parallel ones."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +57,7 @@ class DHTable:
     beta: tuple[float, ...] = ()
     conventions: Conventions | None = None
     path: str = field(default="", compare=False)  # file that it was read from, if any; it says nothing of the arm
+    note: str = field(default="", compare=False)  # what was done to the numbers of the file, in a sentence
 
     def __post_init__(self) -> None:
         count = len(self.alpha)
@@ -85,6 +92,31 @@ class DHTable:
     def parallel_axes(self) -> tuple[int, ...]:
         """Rows, from 1, whose axis is nominally parallel to the next one, declared or not."""
         return tuple(row for row in range(1, len(self.alpha)) if abs(math.sin(self.twist(row))) <= math.sin(NEARLY))
+
+    def with_feet_near(self) -> DHTable:
+        """The same arm with Hayati's turn at all nearly parallel axes of a standard table, and d of these rows zero.
+
+        Their common normals may stand hundreds of metres away. Each next axis is met where it pierces the plane across
+        its own; what is left, a turn and a shift along that next axis, goes into theta and d of the next row.
+        """
+        alpha, a, d, theta = (list(each) for each in (self.alpha, self.a, self.d, self.theta))
+        beta: list[float] = []
+        for row in (rows := self.parallel_axes()):
+            i = row - 1
+            link = np.array(ca.DM(dh(alpha[i], a[i], d[i], theta[i])))
+            foot = link[:3, 3] - link[:3, 2] * (link[2, 3] / link[2, 2])
+            theta[i], a[i], d[i] = math.atan2(foot[1], foot[0]), math.hypot(foot[0], foot[1]), 0.0
+            if abs(theta[i]) > math.pi / 2:  # a is negative, as in the maker's drawing
+                theta[i], a[i] = math.remainder(theta[i] + math.pi, 2 * math.pi), -a[i]
+            c, s = math.cos(theta[i]), math.sin(theta[i])
+            x, y, z = c * link[0, 2] + s * link[1, 2], c * link[1, 2] - s * link[0, 2], link[2, 2]
+            alpha[i], turned = math.atan2(-y, z), math.asin(x)
+            beta.append(turned)
+            rest = np.linalg.solve(np.array(ca.DM(hayati(alpha[i], turned, a[i], theta[i]))), link)
+            theta[i + 1] = math.remainder(theta[i + 1] + math.atan2(rest[1, 0], rest[0, 0]), 2 * math.pi)
+            d[i + 1] += float(rest[2, 3])
+        columns = {"alpha": alpha, "a": a, "d": d, "theta": theta, "beta": beta}
+        return replace(self, parallel=rows, **{key: tuple(map(float, each)) for key, each in columns.items()})  # type: ignore[arg-type]
 
     def pose(self, p: Any, q: Expression) -> Expression:
         """Flange pose (4x4, mm) at `p.alpha`, `p.a`, `p.d`, `p.theta` (and `p.beta`) and joint values q."""
@@ -180,11 +212,6 @@ def table_of(file: str, block: Mapping[str, Any], rows: FileRows) -> DHTable:
         field: tuple(quantity(row, field, UNITS[field], where) for where, row in rows)
         for field in ("alpha", "a", "d", "theta")
     }
-    largest = max(abs(value) for key in ("a", "d") for value in columns[key])
-    if 0 < largest < 5 or largest > 20_000:  # no arm: lengths given in the wrong unit
-        unit = "m" if largest < 5 else "mm"
-        fix = f"Name a and d by their unit: a_{unit}, d_{unit}"
-        raise ProblemError(f"{file}: the largest length is {largest:g} mm", fix)
     joints = tuple(joint_of(row, where, i) for i, (where, row) in enumerate(rows, 1))
     parallel = tuple(block.get("parallel", ()))
     beta = dict.fromkeys(parallel, 0.0)
@@ -197,7 +224,7 @@ def table_of(file: str, block: Mapping[str, Any], rows: FileRows) -> DHTable:
             beta[i] = beta_i
     conventions = conventions_of(file, block, joints)
     with _located(file):
-        return DHTable(
+        table = DHTable(
             name=block.get("name") or file.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0],
             joints=joints,
             convention=convention,
@@ -206,6 +233,22 @@ def table_of(file: str, block: Mapping[str, Any], rows: FileRows) -> DHTable:
             conventions=conventions,
             **columns,
         )
+    near = table.parallel_axes()
+    far = max((abs(table.d[row - 1]) for row in near if abs(math.sin(table.twist(row))) > EXACTLY), default=0.0)
+    if far > FAR_FEET and not parallel and convention == "standard":
+        together = near == tuple(range(near[0], near[-1] + 1))
+        axes = f"{near[0]} to {near[-1] + 1}" if together else " and ".join(f"{row} to {row + 1}" for row in near)
+        note = (
+            f"Joints {axes} are nearly parallel, which puts a d of {far / 1000:.3g} m into the file: the same arm is "
+            f"written with parallel={near}, beta, and d where the axes stand"
+        )
+        table = replace(table.with_feet_near(), note=note)
+    largest = max(map(abs, (*table.a, *table.d)))
+    if 0 < largest < 5 or largest > FARTHEST:  # no arm: lengths given in the wrong unit
+        unit = "m" if largest < 5 else "mm"
+        fix = f"Name a and d by their unit: a_{unit}, d_{unit}"
+        raise ProblemError(f"{file}: the largest length is {largest:g} mm", fix)
+    return table
 
 
 @contextmanager

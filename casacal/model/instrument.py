@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 from types import SimpleNamespace
@@ -45,7 +45,8 @@ class ResidualBlock:
 class Suspect:
     """A mistake that people make with columns: what it is called, seems to be, and needs.
 
-    Undone by the factor; where they stand in the wrong order, each takes what stands in the column of `order`.
+    Undone by the factor; where they stand in the wrong order, each takes what stands in the column of `order`. What is
+    no matter of single columns is undone by `change`, from all columns to all.
     """
 
     about: str
@@ -54,6 +55,7 @@ class Suspect:
     columns: tuple[str, ...]
     factor: float
     order: tuple[str, ...] = ()
+    change: Callable[[Mapping[str, Array]], Mapping[str, Array]] | None = None
 
 
 @dataclass(frozen=True)

@@ -131,7 +131,14 @@ class TrackedPose(Instrument):
         lengths = units_mistaken(dict.fromkeys(POSITION, "length"))
         mirror = "the positions seem to come in a left-handed frame: one axis counted the other way"
         right = "Export them in a right-handed frame, or correct the column that is wrong"
-        return (*lengths, *self._turns_mistaken(), Suspect("left-handed frame", mirror, right, ("z",), -1.0))
+        other = "the poses seem to be those of the device in the body's frame, as of a board in the camera's"
+        invert = "Invert each pose: its rotation R becomes R', its position t becomes -R' t"
+        return (
+            *lengths,
+            *self._turns_mistaken(),
+            Suspect("left-handed frame", mirror, right, ("z",), -1.0),
+            Suspect("poses inverted", other, invert, (*POSITION, *self.turn_columns), 1.0, change=self.inverted),
+        )
 
     def _turns_mistaken(self) -> tuple[Suspect, ...]:
         turn = "seem to turn from the device to the body, not from the body to the device"
@@ -159,14 +166,27 @@ class TrackedPose(Instrument):
 
     def as_read(self, columns: Mapping[str, Array]) -> Mapping[str, Array]:
         """Quaternions of length one, turns of less than one."""
+        return {**columns, **self._written(self._turns(columns))}
+
+    def inverted(self, columns: Mapping[str, Array]) -> Mapping[str, Array]:
+        """The device's poses in the body's frame, for those of the body in the device's."""
+        turns = self._turns(columns).inv()
+        places = -turns.apply(np.column_stack([columns[name] for name in POSITION]))
+        return {**columns, **dict(zip(POSITION, places.T, strict=True)), **self._written(turns)}
+
+    def _turns(self, columns: Mapping[str, Array]) -> Any:
+        """SciPy's rotations of rows."""
         from scipy.spatial.transform import Rotation
 
-        turns = Rotation.from_quat(np.roll(self.quaternions(columns), -1, axis=1))
+        return Rotation.from_quat(np.roll(self.quaternions(columns), -1, axis=1))
+
+    def _written(self, turns: Any) -> Mapping[str, Array]:
+        """SciPy's rotations by the columns of an orientation."""
         if self.orientation == "quaternion":
             found = np.roll(turns.as_quat(canonical=True), 1, axis=1)
         else:
             found = turns.as_rotvec() if self.orientation == "rotation vector" else turns.as_euler(self.orientation)
-        return {**columns, **dict(zip(self.turn_columns, found.T, strict=True))}
+        return dict(zip(self.turn_columns, found.T, strict=True))
 
     def turn(self, row: Any) -> Expression:
         """Rotation matrix (3x3) of a row."""

@@ -16,9 +16,10 @@ from casacal import Conventions, Joint, Parameter, Robot, chain, deg, diagnose
 from casacal.cli.main import main
 from casacal.doctor import PendantRows, read_pendant_rows
 from casacal.doctor.diagnosis import Meaning, further_pose
-from casacal.doctor.search import Halves, axes_of
+from casacal.doctor.search import Halves
 from casacal.doctor.words import diagnosis_text
 from casacal.errors import CasacalError, ProblemError, SamplesError
+from casacal.model.axes import axes_of
 from casacal.model.dh_table import dh_file_text, read_dh_file
 from casacal.model.kinematics import rotate_x, rotate_z, translate_x, translate_z
 
