@@ -7,6 +7,7 @@ import pytest
 from conftest import ROOT
 
 from casacal import calibrate, check, load_problem
+from casacal.calibration.faults import _some_radians
 
 
 def measured(name):
@@ -58,8 +59,20 @@ def test_lost_places_are_named_however_many(part, size):
     for k, name in enumerate("xyz"):
         columns[name][rows] += size * (away / np.linalg.norm(away, axis=1, keepdims=True))[:, k]
     (found,) = errors(problem, replace(samples, columns=columns))
-    assert (found.about, found.lines) == ("lost target", tuple(samples.lines[row] for row in rows))
+    assert (found.about, found.lines) == ("outliers", tuple(samples.lines[row] for row in rows))
     if part == 0.1:
         result = calibrate(problem, replace(samples, columns=columns), reference=False)
         right = calibrate(problem, samples, reference=False)
         assert result.tip_std[1] == pytest.approx(right.tip_std[1], rel=0.2)
+
+
+def test_only_what_one_turn_in_radians_may_be_is_taken_for_radians():
+    """2 pi degrees: a joint never stands a whole turn and more from zero."""
+    problem, samples = measured("hsr_jr680")
+    joints = samples.joints.copy()
+    joints[:3] = np.radians([[6.2] * 6, [-6.3] * 6, [10.0] * 6])
+    (fault,) = _some_radians(problem, replace(samples, joints=joints))
+    assert f"angles of line {samples.lines[0]} look" in fault.cause
+    undone = fault.undo(problem, samples).samples.joints
+    np.testing.assert_allclose(undone, np.vstack([np.full(6, 6.2), joints[1:]]))
+    assert list(_some_radians(problem, samples)) == []
