@@ -14,6 +14,7 @@ from casacal.calibration.before_fit import (
     WRONG_SIGN,
     absent_labels,
     enough_rows,
+    in_metres,
     lost_steps,
     lost_targets,
     odd_labels,
@@ -170,8 +171,8 @@ def check(problem: Problem, samples: Samples | Measurements, *, confirmed: bool 
         return (Finding("error", UNBOUND, error.what, error.fix), *_in_order(findings))
     some = bound if len(samples) <= SPREAD else bound.on(samples.take(_evenly(len(samples), SPREAD)))
     scatter = prior_scatter(some, flat_counts=True).rms
-    if steps := upside_down(some, scatter):
-        return _in_order([*steps, *findings])
+    if wrong := [*in_metres(problem, samples), *upside_down(some, scatter)]:
+        return _in_order([*wrong, *findings])
     bad, stray = off_their_face(bound, scatter)
     good = samples.take(np.flatnonzero(~bad)) if bad.any() else samples
     few = _few_of_each_face(problem, good)
