@@ -21,6 +21,7 @@ from casacal.fit.nominal import nominal_sight
 from casacal.model.geometry import fitted_plane
 from casacal.model.instrument import OVERTRAVEL, Probe, readings_within
 from casacal.model.problem import Problem
+from casacal.model.robot import random_joints
 from casacal.values import Array, Rows
 from casacal.wording import counted, shortened
 
@@ -417,6 +418,22 @@ def upside_down(bound: BoundProblem, scatter: float) -> list[Finding]:
             fix = "Exchange the two labels in all rows, or correct the sign of the step's height"
             found.append(Finding("error", "labels exchanged", cause, fix))
     return found
+
+
+IN_METRES = 0.1, 20.0
+"""Extent (mm) of the flange's way over random postures that only an arm has whose lengths are metres."""
+POSTURES = 40
+
+
+def in_metres(problem: Problem, samples: Samples) -> list[Finding]:
+    """An error on an arm whose flange moves by millimetres: its numbers, or what its pose gives, are metres."""
+    joints = random_joints(problem.robot, POSTURES, np.random.default_rng(0))
+    anywhere = replace(samples.take(np.zeros(POSTURES, dtype=np.intp)), joints=joints)
+    extent = float(np.linalg.norm(np.ptp(nominal_sight(problem, 0, anywhere).poses[:, :3, 3], axis=0)))
+    if not IN_METRES[0] < extent < IN_METRES[1]:
+        return []
+    cause = f"in any postures the flange stays within {extent:.2g} mm, so the arm's lengths seem to be metres"
+    return [Finding("error", "arm in metres", cause, "Write them, and what the pose function returns, in mm")]
 
 
 WRONG_SIGN = "wrong dial sign"

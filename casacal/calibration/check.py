@@ -15,6 +15,7 @@ from casacal.calibration.before_fit import (
     WRONG_SIGN,
     absent_labels,
     enough_rows,
+    in_metres,
     lost_steps,
     lost_targets,
     odd_labels,
@@ -173,8 +174,8 @@ def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding
         return [Finding("error", UNBOUND, error.what, error.fix), *findings]
     some = bound if len(samples) <= SPREAD else bound.on(samples.take(_evenly(len(samples), SPREAD)))
     scatter = prior_scatter(some, flat_counts=True).rms
-    if steps := upside_down(some, scatter):
-        return [*steps, *findings]
+    if wrong := [*in_metres(problem, samples), *upside_down(some, scatter)]:
+        return [*wrong, *findings]
     bad, stray = off_their_face(bound, scatter)
     many = bad.sum() > MOST_STRAY * len(samples)
     good = samples.take(np.flatnonzero(~bad)) if bad.any() and not many else samples

@@ -399,8 +399,9 @@ def _lost_places(problem: Problem, samples: Samples, scatter: float) -> tuple[Ro
         return np.zeros(len(samples), dtype=bool), []
     cause = f"{counted(int(bad.sum()), 'place')} far from where the arm, as drawn, and the others put it"
     fix = "Remove these lines, or measure them again, if the target was lost; else look at their joint values"
+    about = "lost target" if 2 * len(np.unique(places[bad], axis=0)) <= bad.sum() else "outliers"
     lines = tuple(samples.lines[k] for k in np.flatnonzero(bad).tolist())
-    return bad, [Finding("error", "lost target", cause, fix, lines)]
+    return bad, [Finding("error", about, cause, fix, lines)]
 
 
 def _median_plane(tips: Array) -> tuple[Array, float]:

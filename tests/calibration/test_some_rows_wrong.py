@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from conftest import ROOT
 
-from casacal import calibrate, check, load_problem
+from casacal import Problem, calibrate, check, load_problem, simulate
+from casacal.calibration.faults import _some_radians
 
 
 def measured(name):
@@ -58,8 +60,35 @@ def test_lost_places_are_named_however_many(part, size):
     for k, name in enumerate("xyz"):
         columns[name][rows] += size * (away / np.linalg.norm(away, axis=1, keepdims=True))[:, k]
     (found,) = errors(problem, replace(samples, columns=columns))
-    assert (found.about, found.lines) == ("lost target", tuple(samples.lines[row] for row in rows))
+    assert (found.about, found.lines) == ("outliers", tuple(samples.lines[row] for row in rows))
     if part == 0.1:
         result = calibrate(problem, replace(samples, columns=columns), reference=False)
         right = calibrate(problem, samples, reference=False)
         assert result.tip_std[1] == pytest.approx(right.tip_std[1], rel=0.2)
+
+
+def test_only_what_one_turn_in_radians_may_be_is_taken_for_radians():
+    """2 pi degrees: a joint never stands a whole turn and more from zero."""
+    problem, samples = measured("hsr_jr680")
+    joints = samples.joints.copy()
+    joints[:3] = np.radians([[6.2] * 6, [-6.3] * 6, [10.0] * 6])
+    (fault,) = _some_radians(problem, replace(samples, joints=joints))
+    assert f"angles of line {samples.lines[0]} look" in fault.cause
+    undone = fault.undo(problem, samples).samples.joints
+    np.testing.assert_allclose(undone, np.vstack([np.full(6, 6.2), joints[1:]]))
+    assert list(_some_radians(problem, samples)) == []
+
+
+@pytest.mark.parametrize("name", ["instruments/tracker", "hsr_jr680", "adept_cobra600"])
+def test_a_pose_function_in_metres_is_named_whatever_it_is_measured_with(name):
+    source = load_problem(ROOT / "problems" / name)
+    robot, instrument = source.problem.robot, source.problem.instrument
+    samples = simulate(source.problem, source.cell, samples=40, seed=1).samples
+
+    def metres(p, q):
+        pose = robot.pose(p, q)
+        return ca.vertcat(ca.horzcat(pose[:3, :3], pose[:3, 3] / 1000), ca.DM([[0, 0, 0, 1]]))
+
+    found = errors(Problem(replace(robot, pose=metres, arm=None), instrument), samples)
+    assert [each.about for each in found] == ["arm in metres"]
+    assert "arm in metres" not in {each.about for each in errors(source.problem, samples)}
