@@ -73,7 +73,15 @@ def run(options: argparse.Namespace) -> int:
     compared, fitted, later = tuple[SetUp, ...](), found.purposes.count(FIT), options.after is not None
     if options.setups or (source.problem.instrument.probe is not None and not later and fitted <= POOL):
         box, targets = common.where(options, source)
-        compared = set_ups(source.problem, source.cell, touches=fitted, box=box, targets=targets, seed=options.seed)
+        compared = set_ups(
+            source.problem,
+            source.cell,
+            touches=fitted,
+            box=box,
+            targets=targets,
+            clearance=clearance,
+            seed=options.seed,
+        )
     if fitted < (least := touches_needed(source.problem, found.samples)) and not later:
         what = (
             f"{fitted} touches are fitted, but casacal calibrate needs at least {least} for all unknowns. Ask for more"
@@ -83,8 +91,7 @@ def run(options: argparse.Namespace) -> int:
         say_json({**document(found, source.problem, compared, written, clearance), "warnings": warned})
         return DONE
     there = "inside the box" if options.box else "over the workspace" if options.targets is None else "at the targets"
-    every, kept = options.setups, clearance is not None
-    said = plan_sentences(found, compared, where=there, pool=options.pool, after=later, every=every, kept_clear=kept)
+    said = plan_sentences(found, compared, where=there, pool=options.pool, after=later, every=options.setups)
     say_paragraphs(*cell_words(found, source.problem, clearance), *said)
     say_paragraphs(*(f"warning: {each}" for each in warned), *(f"Written: {place}" for place in written))
     named = [] if options.instrument is None else [f"--instrument={options.instrument}"]
@@ -112,7 +119,7 @@ def _wrong_with(source: ProblemFile, options: argparse.Namespace) -> list[str]:
     return [f"{what}. {fix}"]
 
 
-def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Clearance | None) -> Plan:
+def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Clearance) -> Plan:
     from casacal.planning.plan import plan, touches_for
 
     box, targets = common.where(options, source)
@@ -125,7 +132,16 @@ def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Cleara
     if loose and after is None:
         raise CasacalError("Got --loose without --after", "Name the samples from which the arm was calibrated")
     if touches is None:
-        fitted = touches_for(source.problem, source.cell, tolerance, box=box, targets=targets, after=after, loose=loose)
+        fitted = touches_for(
+            source.problem,
+            source.cell,
+            tolerance,
+            box=box,
+            targets=targets,
+            clearance=clearance,
+            after=after,
+            loose=loose,
+        )
         touches = min(max(round(fitted / max(1 - options.check - options.again, 0.1)), 3), options.pool)
     return plan(
         source.problem,
@@ -144,7 +160,7 @@ def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Cleara
     )
 
 
-def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clearance: Clearance | None) -> list[str]:
+def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clearance: Clearance) -> list[str]:
     """Write the plan and what was asked for beside it; all is made before anything is written."""
     from casacal.files import together, write_text
     from casacal.planning.handouts import PROGRAMS, approaches, program_text, sheet_page

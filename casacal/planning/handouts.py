@@ -16,13 +16,13 @@ from markupsafe import Markup
 
 from casacal.data.samples import WRITTEN
 from casacal.deployment.programs import KRL, RAPID, URSCRIPT, Language, in_comments, printable
-from casacal.errors import CasacalError, ProblemError, refuse_unknown
+from casacal.errors import CasacalError, refuse_unknown
 from casacal.fit.nominal import nominal_tips
-from casacal.model.links import above_table, nodes_of
+from casacal.model.capsules import Skeleton
 from casacal.model.problem import Problem
 from casacal.model.robot import inside_limits
 from casacal.pages.drawing import rendered, tag, together
-from casacal.planning.candidates import Clearance, cell_of, drawn_touch
+from casacal.planning.candidates import Around, Clearance, cell_of, drawn_touch
 from casacal.planning.route import Route, joints_shown
 from casacal.simulation.cell import Cell, Disturbances
 from casacal.simulation.touches import TouchingArm
@@ -84,8 +84,7 @@ def approaches(
     levels = [level[back] for level in every]
     chosen, clear = np.zeros(int(back.sum()), dtype=int), np.ones(int(back.sum()), dtype=bool)
     if isinstance(still, Cell):
-        stands = above_table(problem.robot, still.table, (clearance and clearance.link_radius) or 0.0)
-        is_clear = partial(_is_clear, arm, still, clearance, stands)
+        is_clear = partial(_is_clear, arm, still, (clearance or Clearance()).around(problem.robot, still))
         for k in range(1, len(clear)):
             clear[k] = _raised(is_clear, levels, chosen, k)
     above = np.array([levels[level][k] for k, level in enumerate(chosen)])
@@ -119,14 +118,7 @@ def _raised(clear: Clear, levels: list[Array], chosen: Index, k: int) -> bool:
     return False
 
 
-def _is_clear(
-    arm: TouchingArm,
-    cell: Cell,
-    clearance: Clearance | None,
-    stands: Callable[[Array, Array], Rows],
-    start: Array,
-    end: Array,
-) -> bool:
+def _is_clear(arm: TouchingArm, cell: Cell, around: Around, start: Array, end: Array) -> bool:
     """Whether the straight way of the joints between two postures keeps off faces, table and all else that is said."""
     part = np.linspace(0, 1, ON_THE_WAY)[:, None]
     joints = start * (1 - part) + end * part
@@ -137,8 +129,7 @@ def _is_clear(
         height = local[over, 0]
         if (height < FREE).any() and not (height < -FREE).all():  # wholly behind it, it is another side's matter
             return False
-    free = clearance is None or bool(clearance.clear(arm.robot, None, joints, tips).all())
-    return free and bool(stands(joints, tips).all())
+    return bool(around.clear(joints, tips).all())
 
 
 def _above(arm: TouchingArm, joints: Array, readings: Array, tips: Array, axes: Array, retreat: float) -> Array:
@@ -268,10 +259,10 @@ def _unit(kind: str) -> str:
 
 def _pictures(problem: Problem, route: Route) -> list[Markup] | None:
     """Each posture from the side and from above; None for an arm whose joints do not carry one another in order."""
-    try:
-        nodes = nodes_of(problem.robot, route.samples.joints)
-    except ProblemError:
+    skeleton = Skeleton.of(problem.robot)
+    if skeleton.place is None:
         return None
+    nodes = skeleton.place(route.samples.joints)
     arms = np.concatenate([nodes, nominal_tips(problem, 0, route.samples)[:, None]], axis=1)
     side, top = np.stack([np.hypot(arms[..., 0], arms[..., 1]), arms[..., 2]], axis=-1), arms[..., :2]
     return [_picture([(side[k], side), (top[k], top)]) for k in range(len(arms))]

@@ -20,7 +20,6 @@ from casacal.fit.bound_problem import BoundProblem, bind
 from casacal.fit.nominal import nominal_tips
 from casacal.fit.slots import instances, make_slots
 from casacal.model.instrument import readings_within
-from casacal.model.links import is_chain
 from casacal.model.problem import Problem
 from casacal.planning.candidates import Clearance, cell_of, drawn_touch, pool_of, refuse_several
 from casacal.planning.choice import Choice, Criterion, seldom, wanted_joints
@@ -101,7 +100,8 @@ def plan(
         box: ranges of x, y, z in the base frame (mm) in which the tip is wanted; by default the whole workspace.
         targets: joint values (M, n; rad, mm) at which it is wanted, in place of a box.
         criterion: "tip" as above, or "parameters" for the least volume of what the unknowns may be (D-optimal).
-        clearance: what the arm must keep clear of beside the table; by default its links are not looked at.
+        clearance: boxes to keep clear of beside table and faces, and how thick the links are; by default no boxes,
+            and links as thick as those of arms of this reach.
         after: touches that were made already; those of the plan come on top of them.
         loose: what may have moved since they were made, by the name of the unknown: standard deviation, rad or mm. The
             fewest touches that restore the zero of a joint after its motor was changed are found so.
@@ -279,6 +279,7 @@ def touches_for(
     *,
     box: Box | None = None,
     targets: Array | None = None,
+    clearance: Clearance | None = None,
     after: Samples | None = None,
     loose: Mapping[str, float] | None = None,
     most: int = 240,
@@ -289,13 +290,14 @@ def touches_for(
     many again leave sqrt(2/3) of the error. Then never fewer than half as many again as `calibrate` takes at least,
     and, unless that is more, at most 120.
 
-    box, targets, after, loose: as for `plan`. Raises CasacalError where so many as `most` miss the tolerance.
+    box, targets, clearance, after, loose: as for `plan`. Raises CasacalError where so many as `most` miss the
+    tolerance.
     """
     refuse_several(problem, "A plan is for one instrument", "Plan for", box, targets)
     if tolerance is not None and not (is_real(tolerance) and 0 < tolerance < math.inf):
         shown = f"{tolerance:g}" if is_real(tolerance) else came(tolerance)
         raise CasacalError(f"Got {shown} as the tolerance", "Give a positive number of mm")
-    pool = pool_of(problem, cell, CANDIDATES, 0)
+    pool = pool_of(problem, cell, CANDIDATES, 0, clearance)
     bound = bound_pool(problem, pool, after, loose)
     choice = Choice.of(bound, wanted_joints(bound, box, targets), count=len(pool), loose=loose)
     rng = np.random.default_rng(0)
@@ -332,13 +334,11 @@ def plan_sentences(
     pool: int,
     after: bool,
     every: bool = True,
-    kept_clear: bool = False,
 ) -> list[str]:
     """Sentences: the set-up that is worth most, how many, what to expect, the curve and where it flattens.
 
     where: where the tip is wanted, in words. pool: among how many was chosen. after: whether others were made before.
-    every: whether all set-ups are listed, not only one that is much better. kept_clear: whether touches keep clear of
-    something, which set-ups are compared without.
+    every: whether all set-ups are listed, not only one that is much better.
     """
     fitted, check, again = (plan.purposes.count(purpose) for purpose in (FIT, CHECK, AGAIN))
     without = "Without them" if after else "Priors alone"
@@ -350,11 +350,10 @@ def plan_sentences(
     said = []
     if better := worth_most(compared) if compared else None:
         best, now = better
-        without_clear = "; both ignore what must be kept clear of" if kept_clear else ""
         now_is = f"{now.error:.3g} mm as it is" if math.isfinite(now.error) else "this one is out of reach"
         said.append(
             f"Consider another set-up first ({best.words}): with {fitted} fitted touches of {POOL} candidates it "
-            f"leaves {best.error:.3g} mm, {now_is}{without_clear}"
+            f"leaves {best.error:.3g} mm, {now_is}"
         )
     said += [
         f"{len(plan)} touches: {fitted} to fit, {again} of them once more, {check} kept to verify",
@@ -368,8 +367,8 @@ def plan_sentences(
     ]
     if compared and every:
         said.append(
-            f"Set-ups, each with {fitted} fitted touches of {POOL} candidates, with the table alone to clear, and "
-            f"none made before; so these figures compare with one another, not with the plan above, chosen of {pool}:"
+            f"Set-ups, each with {fitted} fitted touches of {POOL} candidates, and none made before; so these figures "
+            f"compare with one another, not with the plan above, chosen of {pool}:"
         )
     for each in compared if every else ():
         reach = "this arm cannot touch it" if math.isinf(each.error) else f"{each.error:.3g} mm"
@@ -402,21 +401,9 @@ def where_faces_stand(plan: Plan, problem: Problem) -> list[dict[str, Any]]:
     return found
 
 
-def links_checked(clearance: Clearance | None) -> bool:
-    """Whether links were looked at, as rods of some thickness."""
-    return clearance is not None and clearance.link_radius is not None
-
-
 def cell_words(plan: Plan, problem: Problem, clearance: Clearance | None) -> list[str]:
     """Sentences for setting up the cell: where each face stands, and what the plan keeps clear of."""
-    table, said = plan.cell.table, list[str]()
-    if not links_checked(clearance):
-        kept = "joints, flange and tip are" if is_chain(problem.robot) else "the tip is"
-        limit = f"only {kept} kept above the table at z = {table:g} mm" if table > -math.inf else "nothing is looked at"
-        said.append(
-            f"Collisions not checked: of the arm {limit}; links, cables and what stands around were not looked at. Go "
-            "through the plan slowly, or give --link-radius and --keep-out"
-        )
+    said = [(clearance or Clearance()).around(problem.robot, plan.cell).words]
     faces = where_faces_stand(plan, problem)
     for each in faces:
         (x, y, z), (u, v, w), (wide, deep) = each["centre_mm"], each["normal"], each["size_mm"]
@@ -447,7 +434,9 @@ def document(
     }
     curve = [{"touches": count, "expected_mm": error} for count, error in plan.curve.items()]
     found: dict[str, Any] = {"touches": counts, "tip_rms_mm": errors, "curve": curve, "written": list(written)}
-    found |= {"table_mm": plan.cell.table, "collisions_checked": links_checked(clearance)}
+    around = (clearance or Clearance()).around(problem.robot, plan.cell)
+    found |= {"table_mm": plan.cell.table, "collisions_checked": around.radius > 0, "link_radius_mm": around.radius}
+    found["collisions"] = around.words
     found["faces"] = where_faces_stand(plan, problem)
     if compared:
         found["setups"] = [{"words": each.words, "expected_mm": each.error} for each in compared]

@@ -11,7 +11,7 @@ import numpy as np
 from casacal.errors import CasacalError
 from casacal.fit.bound_problem import bind
 from casacal.model.problem import Problem
-from casacal.planning.candidates import cell_of, pool_of
+from casacal.planning.candidates import Clearance, cell_of, pool_of
 from casacal.planning.choice import Choice, wanted_joints
 from casacal.planning.offers import STEP, block_on, fresh, raised, rising
 from casacal.simulation.cell import Cell, Disturbances
@@ -45,13 +45,14 @@ def set_ups(
     touches: int = 40,
     box: Box | None = None,
     targets: Array | None = None,
+    clearance: Clearance | None = None,
     seed: int = 0,
 ) -> tuple[SetUp, ...]:
     """Compare ways to set the cell up by the tip error to expect from as many touches, the best first.
 
     As it is; one plate; it at two heights; three faces at right angles; a gauge block; other tilts. What this arm
-    cannot touch is last, with an infinite error. touches: how many are fitted in each. cell, box, targets, seed: as for
-    `plan`. Raises CasacalError for an instrument that touches no faces.
+    cannot touch is last, with an infinite error. touches: how many are fitted in each. cell, box, targets,
+    clearance, seed: as for `plan`. Raises CasacalError for an instrument that touches no faces.
     """
     still = cell_of(problem, cell)
     if not isinstance(still, Cell):
@@ -62,8 +63,8 @@ def set_ups(
     found = list[SetUp]()
     for words, other, place in _ways(problem.without_terms, still):
         try:
-            pool_of(other, place, FEW * len(place.faces), seed)  # soon says what is out of reach
-            bound = bind(other, pool_of(other, place, POOL, seed))
+            pool_of(other, place, FEW * len(place.faces), seed, clearance)  # soon says what is out of reach
+            bound = bind(other, pool_of(other, place, POOL, seed, clearance))
             choice = Choice.of(bound, wanted_joints(bound, box, targets))
             error = choice.error(choice.best_of(touches, 1, np.random.default_rng(seed)))
         except CasacalError:  # out of reach

@@ -14,10 +14,10 @@ import numpy as np
 from casacal.data.columns import Labels
 from casacal.errors import SimulationError
 from casacal.kernels.block_rows import Batch
+from casacal.model.capsules import above_table
 from casacal.model.geometry import Plane
 from casacal.model.instrument import Instrument, Probe, readings_within
 from casacal.model.kinematics import stacked_poses
-from casacal.model.links import above_table
 from casacal.model.problem import Problem
 from casacal.model.robot import AXIS_WEIGHT, Robot, inside_limits, random_joints
 from casacal.model.traced_pose import traced
@@ -108,16 +108,15 @@ class TouchingArm:
             damping[k] = np.clip(np.where(better, damping[k] * 0.2, damping[k] * 5), 1e-12, 1e6)
         return joints
 
-    def nearest(self, targets: Array, axes: Array, poses: Array) -> Array:
-        """For each target (N, 3) with its plunger direction, the nearest of its own poses (N, M, n): (N, n).
+    def nearest(self, targets: Array, axes: Array, poses: Array, own: Index) -> Array:
+        """For each target (N, 3) with its plunger direction, the nearest of its own (N, M) among poses (K, n): (N, n).
 
         From afar, steps are so erratic that rounding decides where they lead; from nearby they are not.
         """
-        count, choices, n = poses.shape
-        tips, directions = self.place(self.local, poses.reshape(-1, n), np.zeros((1,)))
-        miss = ((tips.reshape(count, choices, 3) - targets[:, None]) ** 2).sum(axis=2)
-        miss += AXIS_WEIGHT**2 * ((directions.reshape(count, choices, 3) - axes[:, None]) ** 2).sum(axis=2)
-        return np.asarray(poses[np.arange(count), np.argmin(miss, axis=1)])
+        tips, directions = self.place(self.local, poses, np.zeros((1,)))
+        miss = ((tips[own] - targets[:, None]) ** 2).sum(axis=2)
+        miss += AXIS_WEIGHT**2 * ((directions[own] - axes[:, None]) ** 2).sum(axis=2)
+        return np.asarray(poses[own[np.arange(len(own)), np.argmin(miss, axis=1)]])
 
     def land(self, joints: Array, readings: Array, normals: Array, heights: Array) -> Array:
         """Smallest joint moves that put tips exactly on n . tip = height: (N, n)."""
@@ -277,11 +276,12 @@ def try_touches(
     growth: Array | None = None,
     *,
     starts: int = STARTS,
+    poses: Array | None = None,
 ) -> tuple[Array, Array, Rows]:
     """One try at each touch, or at those that wait: joint values, readings, and which of them succeeded.
 
     What is drawn does not depend on which touches wait, so that one touch that rounding decides leaves the others as
-    they are. starts: random poses among which each finds where to begin.
+    they are. starts: random poses among which each finds where to begin, drawn from poses (K, n) where there are some.
     """
     count = len(which)
     waiting = np.arange(count) if waiting is None else waiting
@@ -295,12 +295,16 @@ def try_touches(
     sine, azimuth = np.sqrt(1 - cosine**2), rng.uniform(0, 2 * math.pi, count)
     parts = np.column_stack([-cosine, sine * np.cos(azimuth), sine * np.sin(azimuth)])
     directions = np.einsum("ka,kax->kx", parts, axes)
-    poses = random_joints(touch.robot, count * starts, rng).reshape(count, starts, -1)
+    if poses is None:
+        drawn = random_joints(touch.robot, count * starts, rng).reshape(count, starts, -1)[waiting]
+        poses, own = drawn.reshape(-1, drawn.shape[2]), np.arange(len(waiting) * starts).reshape(-1, starts)
+    else:
+        own = rng.integers(len(poses), size=(count, starts))[waiting]
     which, grown = which[waiting], (np.ones(count) if growth is None else growth)[waiting]
-    lift, readings, uv, axes, centres, half, targets, directions, poses = (
-        each[waiting] for each in (lift, readings, uv, axes, centres, half, targets, directions, poses)
+    lift, readings, uv, axes, centres, half, targets, directions = (
+        each[waiting] for each in (lift, readings, uv, axes, centres, half, targets, directions)
     )
-    joints = touch.reach(targets, directions, readings, touch.nearest(targets, directions, poses))
+    joints = touch.reach(targets, directions, readings, touch.nearest(targets, directions, poses, own))
     joints, inside = touch.within_limits(joints)
     heights = levels(cell, which, uv, seeds, lift) / grown  # where the arm without its growth stands as it touches
     joints = touch.land(joints, readings, axes[:, 0], heights)

@@ -15,8 +15,8 @@ from planned_arms import ARMS
 from casacal import CasacalError, Cell, Face, Parameter, Robot, chain, corner, load_problem, plan
 from casacal.cli.main import main
 from casacal.errors import SimulationError
+from casacal.model.capsules import above_table
 from casacal.model.kinematics import translate_x
-from casacal.model.links import above_table
 from casacal.planning.candidates import Clearance
 from casacal.simulation.cell import Disturbances
 from casacal.simulation.touches import default_cell
@@ -58,13 +58,14 @@ def test_nothing_goes_below_the_base_plane_and_each_face_is_told(folders, tmp_pa
     asked = ["plan", str(folders[name]), "--out", str(out), "--touches", "40", "--pool", "300", "--sheet", str(sheet)]
     assert main(asked) == 0
     said = capsys.readouterr().out
-    assert said.startswith("Collisions not checked: ")
+    assert said.startswith("Collisions looked at: links, as rods of ")
     assert main([*asked, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     rows, joints = joints_of(out, arm)
     assert heights(arm, joints).min() > -1e-3
     assert found["table_mm"] == 0
-    assert found["collisions_checked"] is False
+    assert found["collisions_checked"] is True
+    assert found["collisions"].startswith(f"Collisions looked at: links, as rods of {found['link_radius_mm']} mm")
     assert {face["label"] for face in found["faces"]} == set(rows["plane"])
     for face in found["faces"]:
         centre, normal, size = (np.array(face[key]) for key in ("centre_mm", "normal", "size_mm"))
@@ -91,7 +92,8 @@ def test_nothing_goes_below_the_base_plane_and_each_face_is_told(folders, tmp_pa
         for text in (said, out.read_text(), sheet.read_text()):
             assert words in " ".join(text.split())
             assert told in " ".join(text.split())
-            assert "Collisions not checked" in text
+            assert "Collisions looked at: links, as rods of" in " ".join(text.split())
+            assert "what else stands around were not looked at" in " ".join(text.split())
 
 
 @pytest.mark.long
@@ -149,6 +151,41 @@ def test_links_that_were_looked_at_are_not_said_to_be_unchecked(folders, tmp_pat
     source = load_problem(folders["IRB 120"])
     made = plan(source.problem, clearance=Clearance(link_radius=40.0), touches=20, pool=60, starts=1)
     assert made.cell.faces == default_cell(source.problem).faces
+
+
+def test_links_that_were_not_looked_at_are_said_to_be_unchecked(folders, tmp_path, capsys):
+    out, robot = tmp_path / "plan.csv", load_problem(folders["UR5"]).problem.robot
+    asked = ["plan", str(folders["UR5"]), "--out", str(out), "--touches", "12", "--pool", "60", "--link-radius", "0"]
+    assert main([*asked, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["collisions_checked"] is False
+    assert found["collisions"].startswith(
+        "Collisions not checked: of the arm only joints, flange and tip are kept off the"
+    )
+    assert "Collisions not checked" in out.read_text()
+    odd = Robot(
+        "odd", joints=2, pose=lambda p, q: chain(translate_x(p.l * q[0] * q[1])), parameters={"l": Parameter(9.0)}
+    )
+    around = Clearance((((0.0, 10.0),) * 3,)).around(odd, Disturbances())
+    assert "only the tip is kept off the table, box 1; links (joints do not carry one another in order)" in around.words
+    tips = np.array([[5.0, 5.0, 5.0], [5.0, 5.0, 15.0], [5.0, 5.0, -1.0]])
+    assert around.clear(np.zeros((3, 2)), tips).tolist() == [False, True, False]
+    assert Clearance((), 0).around(robot, None).words.startswith("Collisions not checked: of the arm nothing")
+
+
+@pytest.mark.parametrize(("name", "low", "high"), [("UR5", 50, 65), ("UR10e", 65, 95), ("LBR iiwa 14", 58, 75)])
+def test_links_are_as_thick_as_their_makers_draw_them(folders, name, low, high):
+    around = Clearance().around(load_problem(folders[name]).problem.robot, None)
+    assert low <= around.radius <= high
+
+
+def test_what_is_in_the_way_is_named(folders):
+    """A wall across the arm's middle, behind which the plate lies: its forearm is in the way, and nothing else."""
+    source = load_problem(folders["UR5"])
+    wall = ((250.0, 260.0), (-2000.0, 2000.0), (-2000.0, 2000.0))
+    plate = Cell(faces=(Face("p", (600.0, 0.0, 50.0), (0, 0, 1), (100.0, 100.0)),))
+    with pytest.raises(CasacalError, match=r"Only 0 of 60 .* In the way: link \d against box 1 \(\d+%\)"):
+        plan(source.problem, plate, touches=20, pool=60, clearance=Clearance((wall,)))
 
 
 def test_the_tip_is_asked_as_well_as_the_joints_also_of_an_arm_that_is_no_chain(folders):
@@ -216,13 +253,16 @@ def test_a_plan_goes_into_a_pipe(folders, tmp_path):
 
 
 def test_links_stay_their_radius_above_the_table():
-    """As above a table that is higher by it, while the tip may touch down to the table itself."""
+    """As above a table that is higher by it, the slimmer wrist by half of it, while the tip may touch the table."""
     robot = load_problem(ROOT / "problems" / "ur5").problem.robot
     low, high = robot.limits
     joints = np.random.default_rng(0).uniform(low, high, size=(400, len(low)))
-    tips = np.tile([500.0, 0.0, 1000.0], (400, 1))
-    thick, higher, thin = (above_table(robot, *given)(joints, tips) for given in ((0, 60.0), (60.0, 0), (0, 0)))
-    np.testing.assert_array_equal(thick, higher)
-    assert thick.sum() < thin.sum()
-    tips[:, 2] = 10.0
-    np.testing.assert_array_equal(above_table(robot, 0, 60.0)(joints, tips), thick)
+    tips, arm = np.tile([500.0, 0.0, 1000.0], (400, 1)), BY_NAME["UR5"]
+    thick = Clearance(link_radius=60.0).around(robot, Disturbances())
+    origins = np.array([arm.origins(q)[:-1, 2] for q in np.degrees(joints)])  # the last is the flange
+    needed = np.array([-np.inf, 60.0, 60.0, 60.0, 30.0, 30.0])
+    for height in (1000.0, 10.0, -10.0):
+        tips[:, 2] = height
+        hit = np.any([each.rows for each in thick.collisions(joints, tips) if each.other == "the table"], axis=0)
+        np.testing.assert_array_equal(hit, (origins < needed).any(axis=1) | (height < 0))
+    assert above_table(robot, 0)(joints, np.add(tips, (0, 0, 100))).sum() > (origins >= needed).all(axis=1).sum()

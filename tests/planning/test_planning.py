@@ -252,7 +252,7 @@ def test_the_command_line_plans(tmp_path, capsys):
     lines = out.read_text().splitlines()
     assert lines[0].endswith("not a measurement")
     assert [line.split(":")[0] for line in lines[3:7]] == [
-        "# Collisions not checked",
+        "# Collisions looked at",
         *(f"# Face {each}" for each in ("floor", "wall", "side")),
     ]
     assert lines[10] == "touch,purpose,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,expected_reading_mm,plane"
