@@ -13,7 +13,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from casacal.errors import ProblemError
+from casacal.errors import CasacalError, ProblemError
 from casacal.model.links import Links, foot
 from casacal.model.robot import Robot, random_joints
 from casacal.values import Array, Rows
@@ -26,6 +26,7 @@ OF_REACH = 0.065
 A UR5 reaches 930 mm with tubes of 57 mm, a UR10e 1400 mm with 65 to 90 mm, an iiwa 946 mm with 68 mm.
 """
 SLIM = 0.5  # radius of the last two links and the tool, over that of the others: 37 mm on a UR5
+IN_METRES = 10.0  # mm; a box that ends nearer to the base was given in metres
 IN_AIR = 1.0  # mm of the tool, from its tip on, that may be in what it touches
 
 
@@ -50,6 +51,20 @@ class Solid:
     origin: Array = field(default_factory=lambda: np.zeros(3))
     axes: Array = field(default_factory=lambda: np.eye(3))
     touched: bool = False
+
+    @staticmethod
+    def box(name: str, ranges: object) -> Solid:
+        """Ranges of x, y and z (mm) in the base frame; raises CasacalError for what is none."""
+        try:
+            low, high = np.array(ranges, dtype=np.float64).T
+            sound = low.shape == (3,) and bool((low < high).all())
+        except (TypeError, ValueError):
+            sound = False
+        if not sound:
+            raise CasacalError(f"The box to keep out of is {ranges!r}", "Give ranges of x, y and z in mm, each rising")
+        if np.abs([low, high]).max() < IN_METRES:
+            raise CasacalError(f"The box to keep out of is {ranges!r} mm", "Give mm in the base frame: 0.5 m are 500")
+        return Solid(name, low, high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,10 +153,18 @@ class Skeleton:
                 yield Collision(names[one], names[two], far & (apart <= radii[one] + radii[two]))
 
 
-def above_table(robot: Robot, table: float) -> Callable[[Array, Array], Rows]:
-    """Which postures (N, n; rad, mm), with their tips (N, 3; mm), hold joints, flange and tip above a table (mm)."""
-    skeleton = Skeleton.of(robot)
-    return lambda joints, tips: ~np.any([each.rows for each in skeleton.collisions(joints, tips, 0.0, table=table)], 0)
+def above_table(robot: Robot, table: float, boxes: Sequence[object] = ()) -> Callable[[Array, Array], Rows]:
+    """Which postures (N, n; rad, mm), with their tips (N, 3; mm), hold joints, flange and tip above a table (mm).
+
+    boxes: ranges of x, y and z (mm) in which neither flange nor tip is.
+    """
+    skeleton, solids = Skeleton.of(robot), [Solid.box("box", box) for box in boxes]
+
+    def stands(joints: Array, tips: Array) -> Rows:
+        found = skeleton.collisions(joints, tips, 0.0, table=table, solids=solids)
+        return np.asarray(~np.any([each.rows for each in found], axis=0))
+
+    return stands
 
 
 def to_box(start: Array, end: Array, low: Array, high: Array) -> Array:

@@ -29,7 +29,7 @@ from casacal.values import Array, Rows, Value, is_real
 
 @dataclass(frozen=True, eq=False)
 class Clearance(Value):
-    """Obstacles and link radii that postures keep clear of, beside the table and the faces of a cell.
+    """Obstacles and link radii that postures keep clear of, beside table, faces and `keep_out` of a cell.
 
     boxes: ranges of x, y, z (mm, base frame) where neither arm nor tool may be. link_radius: how thick its links are,
     mm; None takes what arms of this reach have, 0 looks at joints, flange and tip alone. The last link and the tool may
@@ -42,25 +42,17 @@ class Clearance(Value):
     def __post_init__(self) -> None:
         object.__setattr__(self, "boxes", tuple(self.boxes))
         for box in self.boxes:
-            try:
-                low, high = np.array(box, dtype=np.float64).T
-                sound = low.shape == (3,) and bool((low < high).all())
-            except (TypeError, ValueError):
-                sound = False
-            if not sound:
-                raise CasacalError(f"The box to keep out of is {box!r}", "Give ranges of x, y and z in mm, each rising")
+            Solid.box("box", box)
         radius = self.link_radius
         if radius is not None and not (is_real(radius) and 0 <= radius < math.inf):
             raise CasacalError(f"The links' radius is {radius!r}", "Give a positive number of mm, or 0 for none")
 
     def around(self, robot: Robot, cell: Disturbances | None) -> Around:
         """What there is around an arm, with the table and the faces of a cell."""
-        skeleton, solids = Skeleton.of(robot), list[Solid]()
-        for number, box in enumerate(self.boxes, 1):
-            low, high = np.array(box, dtype=np.float64).T
-            solids.append(Solid(f"box {number}", low, high))
-        for face in cell.faces if isinstance(cell, Cell) else ():
-            solids.append(_solid(face))
+        boxes = (*self.boxes, *(() if cell is None else cell.keep_out))
+        solids = [Solid.box(f"box {number}", box) for number, box in enumerate(boxes, 1)]
+        solids += [_solid(face) for face in cell.faces] if isinstance(cell, Cell) else []
+        skeleton = Skeleton.of(robot)
         radius = skeleton.radius if self.link_radius is None else self.link_radius
         known = skeleton.place is not None
         return Around(skeleton, radius if known else 0.0, -math.inf if cell is None else cell.table, tuple(solids))
@@ -136,7 +128,7 @@ def cell_of(problem: Problem, cell: Disturbances | None) -> Disturbances:
     if isinstance(cell, Cell):
         still = Cell(faces=cell.faces, tilt=cell.tilt, travel=cell.travel)
     if cell is not None:
-        still = replace(still, table=cell.table)
+        still = replace(still, table=cell.table, keep_out=cell.keep_out)
     return replace(still, error_scale=0.0, repeatability=0.0, resolution=0.0)
 
 

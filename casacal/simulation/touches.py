@@ -23,6 +23,7 @@ from casacal.model.robot import AXIS_WEIGHT, Robot, inside_limits, random_joints
 from casacal.model.traced_pose import traced
 from casacal.model.unknown import Unknown, tangent_basis, unit_vector
 from casacal.simulation.cell import OF_DIALS, OF_TOUCHES, Cell, Disturbances, Face, corner, levels, rectangles, triple
+from casacal.uncertainty.tip_error import Box
 from casacal.values import Array, Index, Rows
 
 ARRIVED = 1e-16
@@ -347,12 +348,13 @@ def refuse_cell(problem: Problem, probe: Probe, cell: Cell) -> None:
         raise SimulationError(f"The cell has a {setting}, and the problem touches without a dial", fix)
 
 
-def default_cell(problem: Problem, *, table: float = 0.0) -> Cell:
+def default_cell(problem: Problem, *, table: float = 0.0, keep_out: tuple[Box, ...] = ()) -> Cell:
     """Three faces where this arm touches them most readily; the same for the same problem.
 
     They stand above a table (height in mm, base frame), in front of the base (along its x axis) where the arm reaches
-    there. They are at right angles, or, for an arm that cannot point its plunger so freely, such as a SCARA, each is
-    inclined against the plunger another way. A problem with one plane gets one face, where it declares the plane.
+    there, and where the tip is out of boxes to keep out of. They are at right angles, or, for an arm that cannot point
+    its plunger so freely, such as a SCARA, each is inclined against the plunger another way. A problem with one plane
+    gets one face, where it declares the plane.
     Raises SimulationError when no such place is found.
     """
     probe, rng = problem.instrument.probe, np.random.default_rng(0)
@@ -385,7 +387,7 @@ def default_cell(problem: Problem, *, table: float = 0.0) -> Cell:
             )
             low = [_moved(cell, table + PLATE) for cell in corners if math.isfinite(table)]
             kinds += [(low, ENOUGH), (corners, ENOUGH), (facets, ENOUGH)]
-    stands = above_table(problem.robot, table)
+    stands = above_table(problem.robot, table, keep_out)
     for cells, enough in kinds:
         best, share = None, 0.0
         for cell in cells:
@@ -396,7 +398,7 @@ def default_cell(problem: Problem, *, table: float = 0.0) -> Cell:
             if reached > share:
                 best, share = cell, reached
         if best is not None and share >= enough:
-            return best
+            return replace(best, keep_out=keep_out)
     raise SimulationError(
         f"No place was found where '{problem.robot.name}' can touch {what} above a table at z = {table:g} mm",
         "Say where the table is (--table Z), or define `cell = Cell(faces=...)` in the problem file",
