@@ -169,7 +169,9 @@ def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clea
     problem, name = source.problem, source.name
     texts = {Path(options.out): plan_text(found, problem, name, clearance)}
     if options.sheet is not None:
-        texts[Path(options.sheet)] = sheet_page(problem, found, name, cell_words(found, problem, clearance))
+        texts[Path(options.sheet)] = sheet_page(
+            problem, found, name, cell_words(found, problem, clearance), found.cell, clearance
+        )
     if options.program:
         ways = approaches(problem, found, source.cell, retreat=options.retreat, clearance=clearance)
         for language in dict.fromkeys(options.program):

@@ -129,8 +129,7 @@ class Skeleton:
         nodes = np.concatenate([self.place(joints), tips[:, None]], axis=1)
         count = nodes.shape[1] - 1  # rods: the base, one for each joint, the tool
         names = ["the base", *(f"link {k}" for k in range(1, count - 1)), "the tool"]
-        slim = max(min(2, count - 5), 0) + 1
-        radii = radius * np.array([1.0] * (count - slim) + [SLIM] * slim)
+        radii = radii_of(radius, count)
         lengths = np.linalg.norm(np.diff(nodes, axis=1), axis=2)
         # what leads to a tip nearby comes as low as the touch does: half the way from it is as thick as it can be
         room = np.minimum(radii, (lengths[:, ::-1].cumsum(axis=1)[:, ::-1] - lengths) / 2)
@@ -151,6 +150,12 @@ class Skeleton:
                 far = lengths[:, one + 1 : two].sum(axis=1) > 2 * radius  # what lies between lets them part
                 apart = between(nodes[:, one], nodes[:, one + 1], nodes[:, two], nodes[:, two + 1])
                 yield Collision(names[one], names[two], far & (apart <= radii[one] + radii[two]))
+
+
+def radii_of(radius: float, rods: int) -> Array:
+    """Radii (mm) of the base, the links and the tool, of which the last ones are slim."""
+    slim = max(min(2, rods - 5), 0) + 1
+    return np.array([radius] * (rods - slim) + [SLIM * radius] * slim)
 
 
 def above_table(robot: Robot, table: float, boxes: Sequence[object] = ()) -> Callable[[Array, Array], Rows]:

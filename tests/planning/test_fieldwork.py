@@ -14,9 +14,11 @@ from scipy.optimize import minimize
 from casacal import Cell, Face, Problem, TrackedPoint, bind, load_problem, plan, simulate
 from casacal.cli.main import main
 from casacal.errors import CasacalError
+from casacal.fit.nominal import nominal_tips
 from casacal.model.capsules import Skeleton, between, to_box
 from casacal.model.robot import random_joints
 from casacal.planning.candidates import Clearance
+from casacal.planning.cell_drawing import CellDrawing
 from casacal.planning.choice import Choice
 from casacal.planning.handouts import approaches, program_text, sheet_page
 from casacal.planning.plan import touches_for
@@ -309,13 +311,13 @@ def test_programs_are_for_six_joints_that_turn(small):
         program_text(source.problem, small, ways, "krll", "arm")
 
 
-def test_a_sheet_has_twenty_touches_a_page(hsr):
+def test_a_sheet_has_ten_touches_a_page(hsr):
     cell = Cell(faces=tuple(replace(face, label=f"<{face.label}> & co") for face in hsr.cell.faces))
     made = plan(hsr.problem, cell, touches=45, pool=300, starts=1)
     parser = html5lib.HTMLParser(strict=True, namespaceHTMLElements=False)
-    tree = parser.parse(sheet_page(hsr.problem, made, "arm <1>"))
+    tree = parser.parse(sheet_page(hsr.problem, made, "arm <1>", cell=made.cell))
     tables = tree.findall(".//table")
-    assert [len(table.findall("./tbody/tr")) for table in tables] == [20, 20, 5]
+    assert [len(table.findall("./tbody/tr")) for table in tables] == [10, 10, 10, 10, 5]
     rows = tree.findall(".//tbody/tr")
     for k, row in enumerate(rows):
         cells = ["".join(cell.itertext()) for cell in row.findall("td")]
@@ -323,9 +325,39 @@ def test_a_sheet_has_twenty_touches_a_page(hsr):
         assert [float(cell) for cell in cells[3:9]] == pytest.approx(np.degrees(made.samples.joints[k]), abs=1e-4)
         assert float(cells[9]) == pytest.approx(made.samples.columns["reading"][k], abs=0.006)
         assert cells[10] == ""
-        assert sum(str(each.tag).endswith("path") for each in row.iter()) == 2
+        assert sum(str(each.tag).endswith("svg") for each in row.iter()) == 2
+        assert [each.get("href") for each in row.iter() if str(each.tag).endswith("use")] == ["#cell-0", "#cell-1"]
     assert sum(row.get("class") == "check" for row in rows) == made.purposes.count("check")
     assert "http" not in sheet_page(hsr.problem, made, "arm")
+
+
+def test_a_drawing_is_to_scale(hsr, small):
+    """From above: nodes, faces, tips and the width of rods by one scale; the plunger ends at the circle."""
+    around = Clearance().around(hsr.problem.robot, hsr.cell)
+    tips = nominal_tips(hsr.problem, 0, small.samples)
+    drawing = CellDrawing.of(around, small.samples.joints, tips)
+    side, top = (html5lib.parseFragment(view, namespaceHTMLElements=False)[0] for view in drawing.overview())
+    parts = [each for each in top.iter() if str(each.tag).endswith("path")]
+    lines = [np.array(re.findall(r"-?[\d.]+", each.get("d")), float).reshape(-1, 2) for each in parts]
+    nodes = around.skeleton.place(small.samples.joints)[0]
+    arm, wrist = len(hsr.cell.faces) + 1, len(hsr.cell.faces) + 2
+    drawn = np.vstack([lines[arm], lines[wrist][1:]])
+    seen = np.vstack([nodes[1:], tips[0]])[:, :2]
+    scale = np.linalg.norm(drawn[-1] - drawn[0]) / np.linalg.norm(seen[-1] - seen[0])
+    flipped = (drawn - drawn[0]) * [1, -1] / scale
+    np.testing.assert_allclose(flipped, seen - seen[0], atol=0.2 / scale)
+    assert float(parts[arm].get("stroke-width")) == pytest.approx(2 * around.radius * scale, abs=0.06)
+    assert float(parts[wrist].get("stroke-width")) == pytest.approx(around.radius * scale, abs=0.06)
+    floor = (lines[0] - drawn[0]) * [1, -1] / scale + seen[0]
+    assert np.ptp(floor, axis=0) == pytest.approx([600, 600], abs=0.2 / scale)
+    assert floor[:-1].mean(axis=0) == pytest.approx(hsr.cell.faces[0].centre[:2], abs=0.2 / scale)
+    circle = next(each for each in top.iter() if str(each.tag).endswith("circle"))
+    assert [float(circle.get("cx")), float(circle.get("cy"))] == pytest.approx(drawn[-1].tolist(), abs=0.1)
+    ground = next(each for each in side.iter() if str(each.tag).endswith("rect"))
+    height = next(each for each in side.iter() if str(each.tag).endswith("circle"))
+    assert (float(ground.get("y")) - float(height.get("cy"))) / scale == pytest.approx(tips[0, 2], abs=0.2 / scale)
+    names = ["".join(each.itertext()) for each in top.iter() if str(each.tag).endswith("text")]
+    assert names == ["floor", "wall", "side"]
 
 
 @pytest.mark.long
