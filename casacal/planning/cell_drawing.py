@@ -52,7 +52,7 @@ class CellDrawing:
     def posture(self, k: int) -> Markup:
         """The k-th posture from both sides; `cell` stands before it on the page."""
         still = [tag("use", at={"href": f"#cell-{top}"}) for top in (0, 1)]
-        return together(*(self._view(top, "posture", still[top], *self._arm(k, top)) for top in (0, 1)))
+        return together(*(self._view(top, {"aria-label": "posture"}, still[top], *self._arm(k, top)) for top in (0, 1)))
 
     def overview(self) -> tuple[Markup, Markup]:
         """The first posture, all tips, and the names of the faces, from both sides."""
@@ -61,13 +61,14 @@ class CellDrawing:
             across, down = self._seen(self.arms[:, -1], top)
             dots = "".join(f"M{number(a)} {number(b)}h.1" for a, b in zip(across, down, strict=True))
             at = {"d": dots, "stroke": TIP, "stroke-width": "2.5", "stroke-linecap": "round"}
-            parts = (*self._still(top), *self._arm(0, top), tag("path", at=at), *self._names(top))
-            views.append(self._view(top, words, *parts))
+            title = tag("title", words, at={"id": f"overview-{top}"})
+            parts = (title, *self._still(top), *self._arm(0, top), tag("path", at=at), *self._names(top))
+            views.append(self._view(top, {"aria-labelledby": f"overview-{top}"}, *parts))
         return views[0], views[1]
 
-    def _view(self, top: int, words: str, *parts: Markup) -> Markup:
+    def _view(self, top: int, words: Mapping[str, str], *parts: Markup) -> Markup:
         box = f"0 0 {number(self._sizes[top])} {number(HIGH)}"
-        return tag("svg", *parts, at={"viewBox": box, "role": "img", "aria-label": words, "class": "arm"})
+        return tag("svg", *parts, at={"viewBox": box, "role": "img", "class": "arm", **words})
 
     def _flat(self, places: Array, top: int) -> Array:
         """Places (..., 3) as seen: across and up (..., 2), mm."""

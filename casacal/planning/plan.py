@@ -192,13 +192,17 @@ NEARLY = 0.75  # of the touches that verify every face, from which on there are 
 
 
 def enough_to_verify(problem: Problem, pool: Samples, count: int) -> int:
-    """Measurements to verify: a few more than a count where these then place every face, point or anchor of a pool."""
-    instrument, least = problem.instrument, 0
+    """Measurements to verify: a few more than a count where these then place every face, point or anchor of a pool.
+
+    Each has one to lose, such as a touch that cannot be made where the real face stands.
+    """
+    instrument, least, spare = problem.instrument, 0, 0
     for key in instrument.datum:
         unknown = instrument.unknowns[key]
         each = int((~np.isfinite(unknown.prior_stds)).sum()) // problem.models[0].components + 1
-        least = max(least, each * len(instances(instrument, key, unknown, pool)))
-    return max(count, least) if count >= NEARLY * least else count
+        there = len(instances(instrument, key, unknown, pool))
+        least, spare = max(least, each * there), max(spare, (each + 1) * there)
+    return max(count, spare) if count >= NEARLY * least else count
 
 
 def _by_label(rows: Index, labels: Labels, first: str | None) -> Index:
@@ -282,16 +286,18 @@ def touches_for(
     clearance: Clearance | None = None,
     after: Samples | None = None,
     loose: Mapping[str, float] | None = None,
+    again: float = 0.0,
+    check: float = 0.0,
     most: int = 240,
 ) -> int:
-    """About the fewest touches to be fitted that bring the expected tip error below a tolerance, mm RMS.
+    """About the fewest touches that bring the expected tip error below a tolerance, mm RMS, when they are fitted.
 
     Without a tolerance, as many as tell more than the noise of the others averaged: where noise alone is left, half as
     many again leave sqrt(2/3) of the error. Then never fewer than half as many again as `calibrate` takes at least,
     and, unless that is more, at most 120.
 
-    box, targets, clearance, after, loose: as for `plan`. Raises CasacalError where so many as `most` miss the
-    tolerance.
+    box, targets, clearance, after, loose: as for `plan`. again, check: parts that come on top, repeated or kept to
+    verify. Raises CasacalError where so many as `most` miss the tolerance.
     """
     refuse_several(problem, "A plan is for one instrument", "Plan for", box, targets)
     if tolerance is not None and not (is_real(tolerance) and 0 < tolerance < math.inf):
@@ -310,7 +316,7 @@ def touches_for(
             if then > AVERAGED * left:
                 break
             count, left = more, then
-        return count
+        return _in_all(problem, pool, count, again, check)
     count = min(3 if after is not None else 12, most)
     while (left := choice.error(choice.best_of(count, 1, rng))) > tolerance:
         if count == most:
@@ -318,7 +324,13 @@ def touches_for(
             fix = "Ask for less, measure with less noise, or add a face, a step or another instrument"
             raise CasacalError(what, fix)
         count = min(math.ceil(count * 1.25), most)
-    return count
+    return _in_all(problem, pool, count, again, check)
+
+
+def _in_all(problem: Problem, pool: Samples, fitted: int, again: float, check: float) -> int:
+    """Touches of a plan of which so many are fitted, whatever it takes to verify every face."""
+    count = round(fitted / max(1 - check - again, 0.1))
+    return count + enough_to_verify(problem, pool, round(check * count)) - round(check * count)
 
 
 FLAT = 0.93  # error over that of fewer touches above which more bring little

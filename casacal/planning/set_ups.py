@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from casacal.errors import CasacalError
+from casacal.files import MADE
 from casacal.fit.bound_problem import bind
 from casacal.model.problem import Problem
+from casacal.model.problem_file import ProblemFile
+from casacal.model.problem_text import word
+from casacal.pages.drawing import plain_text
 from casacal.planning.candidates import Clearance, cell_of, pool_of
 from casacal.planning.choice import Choice, wanted_joints
 from casacal.planning.offers import STEP, block_on, fresh, raised, rising
 from casacal.simulation.cell import Cell, Disturbances
 from casacal.uncertainty.tip_error import Box
-from casacal.values import Array, Value
+from casacal.values import Array, Value, plain
 
 POOL = 600  # touches among which is chosen in each set-up
 FEW = 3  # touches of each face that show whether it is in reach
@@ -82,6 +88,35 @@ def worth_most(compared: Sequence[SetUp]) -> tuple[SetUp, SetUp] | None:
     return (best, now[0]) if now and best.error < WORTH * now[0].error else None
 
 
+GAUGE_BLOCK = "a gauge block"
+
+
+def with_block(problem: Problem, cell: Cell, height: float) -> tuple[Problem, Cell] | None:
+    """Problem and cell with a gauge block of a height (mm) on the first face; None where faces are those of a body."""
+    first, several = cell.faces[0], problem.instrument.with_faces_by_label()
+    label = fresh("block", cell.faces)
+    stepped = None if several is None else several.with_step(label, first.label, height)
+    if stepped is None:
+        return None
+    return Problem(problem.robot, stepped), replace(cell, faces=(*cell.faces, block_on(first, label, height)))
+
+
+def block_text(source: ProblemFile, cell: Cell, folder: Path, instrument: str | None) -> str:
+    """problem.py in a folder for a problem file and its cell with a gauge block, measured by one instrument of it."""
+    faces = [f"Face{(face.label, *map(plain, (face.centre, face.normal, face.size)))}" for face in cell.faces]
+    height = float((np.subtract(cell.faces[-1].centre, cell.faces[0].centre)) @ cell.faces[0].axes[0])
+    said = {
+        "name": word(source.name),
+        "faces": faces,
+        "height": f"{round(height, 9):g}",
+        "table": cell.table,
+        "made": MADE,
+    }
+    labels = {"block": cell.faces[-1].label, "first": cell.faces[0].label, "instrument": instrument}
+    path = Path(os.path.relpath(source.path, folder)).as_posix()
+    return plain_text("block.py.txt", {**said, **labels, "path": path})
+
+
 def _ways(problem: Problem, cell: Cell) -> Iterator[tuple[str, Problem, Cell]]:
     """Words, problem and cell of each."""
     count, tilt = len(cell.faces), math.degrees(cell.tilt)
@@ -100,11 +135,8 @@ def _ways(problem: Problem, cell: Cell) -> Iterator[tuple[str, Problem, Cell]]:
         if count < 3 or (square.sum(axis=1) < 2).all():  # there are not three faces at right angles already
             walls = (rising(first, first.axes[k], fresh(label, (first,))) for k, label in ((1, "wall"), (2, "side")))
             yield "three faces at right angles", labelled, replace(cell, faces=(first, *walls))
-        label = fresh("gauge block", cell.faces)
-        stepped = several.with_step(label, first.label, STEP)
-        if stepped is not None:
-            words = f"as it is, and a gauge block of {STEP:g} mm on '{first.label}'"
-            yield words, Problem(problem.robot, stepped), replace(cell, faces=(*cell.faces, block_on(first, label)))
+        if (blocked := with_block(problem, cell, STEP)) is not None:
+            yield f"as it is, and {GAUGE_BLOCK} of {STEP:g} mm on '{first.label}'", *blocked
     for other in TILTS:
         if abs(other - tilt) > 1:
             yield f"as it is, tilt up to {other:.0f} degrees", problem, replace(cell, tilt=math.radians(other))

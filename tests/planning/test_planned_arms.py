@@ -1,8 +1,11 @@
 """Plans of five arms from their makers' tables, looked at by kinematics of our own: nothing goes below the table."""
 
+import io
 import json
 import math
 import os
+import re
+import shlex
 import subprocess
 import sys
 
@@ -266,3 +269,78 @@ def test_links_stay_their_radius_above_the_table():
         hit = np.any([each.rows for each in thick.collisions(joints, tips) if each.other == "the table"], axis=0)
         np.testing.assert_array_equal(hit, (origins < needed).any(axis=1) | (height < 0))
     assert above_table(robot, 0)(joints, np.add(tips, (0, 0, 100))).sum() > (origins >= needed).all(axis=1).sum()
+
+
+@pytest.mark.long_unless("hsr_jr680")
+@pytest.mark.parametrize("name", ["hsr_jr680", "UR10e"])
+def test_the_advice_of_a_gauge_block_holds_when_it_is_followed_to_the_letter(
+    folders, tmp_path, monkeypatch, capsys, name
+):
+    """The printed lines, typed as they stand: the plan, the touches of a simulated arm, the fit, and fresh rows."""
+    monkeypatch.chdir(tmp_path)
+    problem = folders[name] if name in folders else ROOT / "problems" / name
+    assert main(["plan", str(problem), "--pool", "1000", "--out", "p.csv"]) == 0
+    said = capsys.readouterr().out
+    before = float(re.search(r"Expect a tip error of ([0-9.]+) mm", said)[1])
+    assert "a gauge block of 100 mm" in said
+    advice = re.search(r"^To do so: casacal (.*)$", said, re.M)[1]
+    assert main(shlex.split(advice)) == 0
+    said = capsys.readouterr().out
+    promised = float(re.search(r"Expect a tip error of ([0-9.]+) mm", said)[1])
+    assert promised < 0.7 * before
+    block = f"{problem.name}_block"
+    assert f"Next: casacal measure {block} --plan p.csv" in said
+    made, drawn = load_problem(block), load_problem(problem)
+    step = made.problem.instrument.steps["block"]
+    assert (step.on, step.height) == (made.cell.faces[0].label, 100)
+    assert made.cell.faces[-1].centre[2] == pytest.approx(made.cell.faces[0].centre[2] + 100)
+    assert made.problem.robot.parameters["a"].values == drawn.problem.robot.parameters["a"].values
+    assert main(["simulate", block, "--plan", "p.csv", "--seed", "3", "--out", "s.csv"]) == 0
+    assert main(["calibrate", block, "s.csv", "--no-reference", "--out", "fit"]) == 0
+    capsys.readouterr()
+    assert main(["verify", "fit/result.json", "s_check.csv"]) == 0
+    assert "Promise kept" in capsys.readouterr().out
+    found = json.loads((tmp_path / "fit" / "result.json").read_text())
+    assert found["tip"]["expected_rms_mm"] < 0.8 * before
+    read = io.StringIO("4.0\nq\n")
+    monkeypatch.setattr("sys.stdin", read)
+    assert main(["measure", block, "--plan", "p.csv", "--out", "m.csv"]) == 0
+    assert "touch 1" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        (["--block", "0.1"], "The gauge block is 0.1 mm high. Give 1 to 1000 mm"),
+        (["--block", "nan"], "The gauge block is nan mm high"),
+        (["--instrument", "tracker", "--block", "100"], "no gauge block stands among what is measured here"),
+    ],
+)
+def test_a_block_that_cannot_be_is_refused_and_nothing_written(tmp_path, capsys, typed, said):
+    several = str(ROOT / "problems" / "ur5_three_instruments")
+    if typed[0] == "--block":
+        typed = ["--instrument", "dial", *typed]
+    assert main(["plan", several, "--touches", "12", "--pool", "60", "--out", str(tmp_path / "p.csv"), *typed]) == 2
+    assert said in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_one_of_several_instruments_may_have_a_block(tmp_path, capsys):
+    several = str(ROOT / "problems" / "ur5_three_instruments")
+    asked = [
+        "plan",
+        several,
+        "--instrument",
+        "dial",
+        "--touches",
+        "20",
+        "--pool",
+        "60",
+        "--out",
+        str(tmp_path / "p.csv"),
+    ]
+    assert main([*asked, "--block", "50"]) == 0
+    made = load_problem(tmp_path / "ur5_three_instruments_block").problem
+    assert 50 in [step.height for step in made.instrument.steps.values()]
+    said = capsys.readouterr().out
+    assert "--instrument" not in said.split("Next: ")[1]
