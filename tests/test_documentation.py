@@ -9,9 +9,12 @@ import subprocess
 from importlib import import_module
 
 import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
 import pytest
 from commands_page import page as commands_page
 from conftest import ROOT
+from planned_arms import ARMS
 from test_architecture import EARLIER, ORDER
 
 import casacal
@@ -61,6 +64,16 @@ def test_the_commands_of_a_page_run_in_order(page, workplace, capsys, monkeypatc
         assert (workplace / "out" / "first" / "residuals.png").is_file()
     if page == "your_robot":
         assert (workplace / "out" / "ur5.script").read_text().count("movej(") == 2
+    if page == "ten_minutes":  # plates 40 mm and 3 degrees off: nothing below the table, planned or touched; verified
+        said, arm = capsys.readouterr().out, next(arm for arm in ARMS if arm.name == "UR10e")
+        assert "Promise kept" in said
+        assert "cannot be made by the true arm" not in said
+        for name in ("plan", "touched", "touched_check"):
+            rows = pd.read_csv(workplace / "out" / f"ur10e_{name}.csv", comment="#")
+            joints = rows[[f"q{k}_deg" for k in range(1, 7)]].to_numpy(float)
+            assert min(arm.origins(q)[:, 2].min() for q in joints) > -1e-3
+            off = [arm.origins(q)[-1, 2] - 20 for q in joints[(rows["plane"] == "floor").to_numpy()]]
+            assert (np.median(off) > 30) == (name != "plan"), "the floor that was touched is 40 mm higher"
 
 
 def test_the_front_page_is_one_that_is_read():

@@ -18,6 +18,7 @@ from casacal.calibration.result_parts import geometry, image_words, noise_part, 
 from casacal.calibration.verdict import WithVerdict
 from casacal.deployment.result import Level
 from casacal.effects.selection import VERY_STRONG
+from casacal.errors import CasacalError
 from casacal.pages.drawing import (
     Panel,
     Scale,
@@ -34,6 +35,10 @@ from casacal.pages.drawing import (
     rendered,
     shortened,
 )
+from casacal.planning.candidates import Clearance
+from casacal.planning.cell_drawing import CellDrawing
+from casacal.planning.offers import CalibratedCell
+from casacal.simulation.cell import Cell
 from casacal.uncertainty.tip_error import Box, accuracy_in_box, tip_stds, up_to_base, workspace_joints
 from casacal.values import Array
 from casacal.wording import METRE, capital, numbered_lines, sized
@@ -140,6 +145,24 @@ def _row(part: Part, i: int, white: float) -> list[str]:
         fixed(white, 1),
         "–" if part.held else fixed(float(part.weight[i]), 2),
     ]
+
+
+def cell_as_found(calibration: Calibration) -> Markup | None:
+    """The faces as they were found and touched, with the arm at its first touch; None where none are touched."""
+    bound, x = calibration.fit, calibration.used_x
+    try:
+        found = CalibratedCell.of(bound, x) if np.isfinite(x).all() else None
+    except CasacalError:  # an arm that nobody understands
+        return None
+    if found is None:
+        return None
+    samples, own = bound.samples[0], calibration.source.cell
+    readings = np.zeros(len(samples)) if found.probe.column is None else samples.columns[found.probe.column]
+    tips, _ = found.touch.place(found.touch.local, samples.joints, readings[:, None])
+    cell = Cell(faces=found.faces, table=-np.inf if own is None else own.table)
+    drawing = CellDrawing.of(Clearance().around(found.problem.robot, cell), samples.joints, tips)
+    words = "The arm at its first touch, from the side and from above: faces (yellow) where and as large as they were "
+    return None if drawing is None else figure(f"{words}touched, all tips (dots), the table grey.", *drawing.overview())
 
 
 SQUARES = 24  # squares along the longer side of a view
@@ -296,6 +319,7 @@ def report_page(
         "left_out": tables.left_out(calibration),
         "noise": noise,
         "noise_words": _noise(calibration, noise),
+        "cell": cell_as_found(calibration),
         "pictures": [
             {"name": t.name, "histograms": histograms(t), "rows": row_plots(t), "faces": face_maps(t)} for t in each
         ],

@@ -348,15 +348,15 @@ def add_clearance(parser: argparse.ArgumentParser) -> None:
     add(parser, *TABLE, kind=float)
     words = "a box, mm, base frame, that arm and tool must avoid; may be repeated"
     add(parser, "--keep-out X0:X1,Y0:Y1,Z0:Z1 ...", words)
-    add(parser, "--link-radius MM", "radius of the links, to keep clear of boxes, faces and each other", kind=float)
+    words = "radius of the links, to keep clear of table, boxes, faces and each other; default: from the reach; 0: none"
+    add(parser, "--link-radius MM", words, kind=float)
 
 
-def clearance_of(options: argparse.Namespace) -> Clearance | None:
-    """Clearance from --keep-out and --link-radius; None without either."""
+def clearance_of(options: argparse.Namespace) -> Clearance:
+    """Clearance from --keep-out and --link-radius."""
     from casacal.planning.candidates import Clearance
 
     radius = options.link_radius
-    if radius is not None and radius < THINNEST:
+    if radius is not None and radius and radius < THINNEST:
         raise CasacalError(f"--link-radius is {radius:g} mm, which no link is", "Give mm: 0.05 m are 50")
-    boxes = tuple(box_of(text, option="--keep-out") for text in options.keep_out)
-    return None if radius is None and not boxes else Clearance(boxes, radius)
+    return Clearance(tuple(box_of(text, option="--keep-out") for text in options.keep_out), radius)

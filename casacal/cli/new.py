@@ -8,7 +8,7 @@ import tempfile
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, add, number_or_range
+from casacal.cli.common import DONE, add, box_of, number_or_range
 from casacal.cli.terminal import say_paragraphs
 from casacal.errors import CasacalError
 
@@ -38,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     words = "height of a gauge block on the first plate, which tells the size of the arm"
     add(parser, "--block MM", words, kind=float)
     add(parser, "--table Z", "height of the table on which all stands, mm in the base frame; default: 0", kind=float)
+    add(parser, "--keep-out X0:X1,Y0:Y1,Z0:Z1 ...", "a box, mm, base frame, that arm and tool must avoid")
     add(parser, "--out DIR", "where to make the folder; default: here", default=".")
 
 
@@ -51,9 +52,10 @@ def run(options: argparse.Namespace) -> int:
     sign = None if options.sign is None else int(options.sign)
     tool = None if options.tool is None else _triple(options.tool)
     plates = tuple(map(_plate, options.plate))
+    boxes = tuple(box_of(text, option="--keep-out") for text in options.keep_out)
     answers = Answers(tool=tool, sign=sign, travel=options.travel, accuracy=options.accuracy, plates=plates,
-                      block=options.block, table=options.table)  # fmt: skip
-    if not plates and (options.block is not None or options.table is not None):
+                      block=options.block, table=options.table, keep_out=boxes)  # fmt: skip
+    if not plates and (boxes or options.block is not None or options.table is not None):
         answers = _with_proposed_plates(answers, options)
     missing = list(answers.missing)
     if options.dh is not None:
@@ -119,7 +121,7 @@ def _with_proposed_plates(answers: Answers, options: argparse.Namespace) -> Answ
             folder, _ = new_from_dh("arm", options.dh, place, answers=bare)
         else:
             folder, _ = new_from_urdf("arm", options.urdf, place, tip=options.tip, base=options.base, answers=bare)
-        cell = default_cell(load_problem(folder).problem, table=answers.table or 0.0)
+        cell = default_cell(load_problem(folder).problem, table=answers.table or 0.0, keep_out=answers.keep_out)
     plates = [
         Plate(
             face.label,

@@ -6,6 +6,7 @@ import argparse
 import math
 import shlex
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,6 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--check F", "part kept to verify; default: 0.15", kind=float, default=0.15)
     add(parser, "--again F", "part repeated at the end; default: 0.05", kind=float, default=0.05)
     common.add_clearance(parser)
+    words = "also touch a gauge block of this height on the first face; writes a problem with it beside the plan"
+    add(parser, "--block MM", words, kind=float)
     add(parser, "--setups", "also compare other set-ups of the cell")
     add(parser, "--sheet FILE", "write a sheet to print and fill in, such as sheet.html")
     add(parser, "--program LANGUAGE ...", "also write a robot program: rapid, krl or urscript; may be repeated")
@@ -55,9 +58,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Plan as the options say; returns 0."""
     from casacal.model.problem_file import load_problem
+    from casacal.planning.offers import STEP
     from casacal.planning.plan import cell_words, document, plan_sentences
     from casacal.planning.route import FIT, touches_needed
-    from casacal.planning.set_ups import POOL, SetUp, set_ups
+    from casacal.planning.set_ups import GAUGE_BLOCK, POOL, SetUp, set_ups, worth_most
 
     if options.touches is not None and options.tolerance is not None:
         raise CasacalError("Got --touches and --tolerance", "Give one of them")
@@ -68,12 +72,23 @@ def run(options: argparse.Namespace) -> int:
     common.spare(outs, *(file.path for file in source.files), source.samples, options.targets, options.after)
     warned = _wrong_with(source, options)
     source, clearance = common.on_table(source, options), common.clearance_of(options)
+    texts, place = dict[Path, str](), Path(options.problem)
+    if options.block is not None:
+        source, place, texts = _with_block(source, options)
     found = _planned(source, options, clearance)
-    written = _written(source, options, found, clearance)
+    written = _written(source, options, found, clearance, texts)
     compared, fitted, later = tuple[SetUp, ...](), found.purposes.count(FIT), options.after is not None
     if options.setups or (source.problem.instrument.probe is not None and not later and fitted <= POOL):
         box, targets = common.where(options, source)
-        compared = set_ups(source.problem, source.cell, touches=fitted, box=box, targets=targets, seed=options.seed)
+        compared = set_ups(
+            source.problem,
+            source.cell,
+            touches=fitted,
+            box=box,
+            targets=targets,
+            clearance=clearance,
+            seed=options.seed,
+        )
     if fitted < (least := touches_needed(source.problem, found.samples)) and not later:
         what = (
             f"{fitted} touches are fitted, but casacal calibrate needs at least {least} for all unknowns. Ask for more"
@@ -83,17 +98,34 @@ def run(options: argparse.Namespace) -> int:
         say_json({**document(found, source.problem, compared, written, clearance), "warnings": warned})
         return DONE
     there = "inside the box" if options.box else "over the workspace" if options.targets is None else "at the targets"
-    every, kept = options.setups, clearance is not None
-    said = plan_sentences(found, compared, where=there, pool=options.pool, after=later, every=every, kept_clear=kept)
+    said = plan_sentences(found, compared, where=there, pool=options.pool, after=later, every=options.setups)
     say_paragraphs(*cell_words(found, source.problem, clearance), *said)
     say_paragraphs(*(f"warning: {each}" for each in warned), *(f"Written: {place}" for place in written))
-    named = [] if options.instrument is None else [f"--instrument={options.instrument}"]
+    if compared and (best := worth_most(compared)) is not None and GAUGE_BLOCK in best[0].words:
+        say_paragraphs(f"To do so: {options.typed} --block={STEP:g}")
+    named = [] if options.instrument is None or texts else [f"--instrument={options.instrument}"]
     numbers = {"--table": options.table, "--link-radius": options.link_radius}
     named += [f"{name}={value:g}" for name, value in numbers.items() if value is not None]
     named += [f"--keep-out={box}" for box in options.keep_out]
-    command = shlex.join(["casacal", "measure", options.problem, *named, "--plan", options.out, "--out"])
+    command = shlex.join(["casacal", "measure", place.as_posix(), *named, "--plan", options.out, "--out"])
     say_paragraphs(f"Next: {command} SAMPLES")
     return DONE
+
+
+def _with_block(source: ProblemFile, options: argparse.Namespace) -> tuple[ProblemFile, Path, dict[Path, str]]:
+    """The problem with a gauge block, the folder in which it is to stand beside the plan, and its text by file."""
+    from casacal.model.problem_text import Answers
+    from casacal.planning.set_ups import block_text, with_block
+    from casacal.simulation.cell import Cell
+
+    Answers(block=options.block)
+    blocked = with_block(source.problem, source.cell, options.block) if isinstance(source.cell, Cell) else None
+    if blocked is None:
+        raise CasacalError("Got --block, and no gauge block stands among what is measured here", "Leave it out")
+    name = f"{source.name}_block"
+    folder = Path(options.out).parent / name
+    text = block_text(source, blocked[1], folder, options.instrument)
+    return replace(source, name=name, problem=blocked[0], cell=blocked[1]), folder, {folder / "problem.py": text}
 
 
 def _wrong_with(source: ProblemFile, options: argparse.Namespace) -> list[str]:
@@ -112,7 +144,7 @@ def _wrong_with(source: ProblemFile, options: argparse.Namespace) -> list[str]:
     return [f"{what}. {fix}"]
 
 
-def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Clearance | None) -> Plan:
+def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Clearance) -> Plan:
     from casacal.planning.plan import plan, touches_for
 
     box, targets = common.where(options, source)
@@ -125,8 +157,19 @@ def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Cleara
     if loose and after is None:
         raise CasacalError("Got --loose without --after", "Name the samples from which the arm was calibrated")
     if touches is None:
-        fitted = touches_for(source.problem, source.cell, tolerance, box=box, targets=targets, after=after, loose=loose)
-        touches = min(max(round(fitted / max(1 - options.check - options.again, 0.1)), 3), options.pool)
+        touches = touches_for(
+            source.problem,
+            source.cell,
+            tolerance,
+            box=box,
+            targets=targets,
+            clearance=clearance,
+            after=after,
+            loose=loose,
+            again=options.again,
+            check=options.check,
+        )
+        touches = min(max(touches, 3), options.pool)
     return plan(
         source.problem,
         source.cell,
@@ -144,16 +187,20 @@ def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Cleara
     )
 
 
-def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clearance: Clearance | None) -> list[str]:
-    """Write the plan and what was asked for beside it; all is made before anything is written."""
+def _written(
+    source: ProblemFile, options: argparse.Namespace, found: Plan, clearance: Clearance, texts: dict[Path, str]
+) -> list[str]:
+    """Write the plan, what was asked for beside it, and further texts; all is made before anything is written."""
     from casacal.files import together, write_text
     from casacal.planning.handouts import PROGRAMS, approaches, program_text, sheet_page
     from casacal.planning.plan import cell_words, plan_text
 
     problem, name = source.problem, source.name
-    texts = {Path(options.out): plan_text(found, problem, name, clearance)}
+    others, texts = len(texts), {Path(options.out): plan_text(found, problem, name, clearance), **texts}
     if options.sheet is not None:
-        texts[Path(options.sheet)] = sheet_page(problem, found, name, cell_words(found, problem, clearance))
+        texts[Path(options.sheet)] = sheet_page(
+            problem, found, name, cell_words(found, problem, clearance), found.cell, clearance
+        )
     if options.program:
         ways = approaches(problem, found, source.cell, retreat=options.retreat, clearance=clearance)
         for language in dict.fromkeys(options.program):
@@ -171,7 +218,7 @@ def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clea
                 f"warning: no clear path was found to {'touch' if len(blocked) == 1 else 'touches'} "
                 f"{', '.join(blocked)}; the program stops before {'it' if len(blocked) == 1 else 'each'}"
             )
-    if len(texts) < 1 + (options.sheet is not None) + len(set(options.program)):
+    if len(texts) < 1 + others + (options.sheet is not None) + len(set(options.program)):
         raise CasacalError("Two of the files to write have the same name", "Name others")
     if any(path.exists() and not path.is_file() for path in texts):  # a pipe takes no place beside others
         for path, text in texts.items():

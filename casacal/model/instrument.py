@@ -485,7 +485,8 @@ def _declared(name: str, before: Any = None) -> Any:
 class TracedInstrument(Instrument):
     """Declarations of an instrument, and its functions as a graph.
 
-    declared: its properties of `DECLARED`, by name. values: unknowns of the robot and its own, by key, in the order of
+    declared: its properties of `DECLARED`, by name, and instances, by the key of the unknown: of labels that share it
+    with another one, such as steps, with which. values: unknowns of the robot and its own, by key, in the order of
     the graph's arguments. graph: flange pose (4x4, mm), their packed values, and the row's columns to residual, tip (3,
     mm) and plunger (3, or nothing).
     """
@@ -518,7 +519,16 @@ class TracedInstrument(Instrument):
         built = (*written, ca.SX(0, 1) if plunger is None else plunger)
         graph = ca.Function("instrument", [pose, *symbols, *columns.values()], [ca.densify(ca.SX(e)) for e in built])
         declared = {name: getattr(instrument, name) for name in DECLARED}
+        known = {label for labels in instrument.known_columns.values() for label in labels}
+        by_label = [key for key, unknown in instrument.unknowns.items() if unknown.per is not None]
+        shared = {key: {label: instrument.instance(key, label) for label in sorted(known)} for key in by_label}
+        if shared := {key: names for key, names in shared.items() if any(a != b for a, b in names.items())}:
+            declared["instances"] = shared
         return TracedInstrument(frozen(declared), FrozenMapping(every), graph)
+
+    def instance(self, key: str, label: str) -> str:
+        """The label's own instance of an unknown, or the one that it shared when it was traced."""
+        return str(self.declared.get("instances", {}).get(key, {}).get(label, label))
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """The residual that was traced."""

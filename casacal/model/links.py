@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -13,7 +12,7 @@ from casacal.model.joints import Conventions
 from casacal.model.kinematics import Expression, chain, screw, slide, transform_point
 from casacal.model.robot import Robot, random_joints
 from casacal.model.traced_pose import TracedPose
-from casacal.values import Array, Rows
+from casacal.values import Array
 
 PROOFS = 4  # postures at which the screws must give the pose
 ALIKE = 1e-6  # how far (mm, or of one) they may be from it
@@ -56,7 +55,7 @@ class Links:
         here = np.zeros(3)
         for j in range(len(turns) - 1):  # along the chain of axes
             if turns[j + 1]:
-                here = _foot(axes[j + 1], points[j + 1], here)
+                here = foot(axes[j + 1], points[j + 1], here)
             places[j] = here
         places[-1] = home[:3, 3]
         found = Links(turns, axes, points, places, conventions)
@@ -93,55 +92,6 @@ class Links:
         return off if self.conventions is None else ca.mtimes(ca.DM(np.linalg.inv(self.conventions.matrix)), off)
 
 
-def nodes_of(robot: Robot, joints: Array) -> Array:
-    """Base, places on the links, and flange (N, n + 1, 3; mm) of an arm as drawn; ProblemError where it is no chain."""
-    found = _placed(Links.of(robot))(joints)
-    return np.concatenate([np.zeros((len(joints), 1, 3)), found], axis=1)
-
-
-def _placed(links: Links) -> Callable[[Array], Array]:
-    """Joint values of the controller (N, n; rad, mm) -> places on the links, the flange last (N, n, 3; mm)."""
-    q = ca.SX.sym("q", len(links.turns))
-    model = q if links.conventions is None else links.conventions.to_model(q)
-    places = ca.Function("places", [q], [ca.vec(ca.horzcat(*links.carried(model)))])
-    return lambda values: np.array(places.map(len(values))(values.T)).T.reshape(len(values), -1, 3)
-
-
-def is_chain(robot: Robot) -> bool:
-    """Whether its joints carry one another in order, so that its links are known."""
-    try:
-        return bool(Links.of(robot))
-    except ProblemError:
-        return False
-
-
-STILL = 1e-6  # mm; a place whose height changes by less stays where the arm was built
-
-
-def above_table(robot: Robot, table: float, radius: float = 0.0) -> Callable[[Array, Array], Rows]:
-    """Which postures (N, n; rad, mm), with their tips (N, 3; mm), hold the drawn arm above a table at a height (mm).
-
-    Joints and flange stay a radius (mm) above it, tips just above. What no joint raises or lowers, such as the base, is
-    not asked. Of an arm that is no chain only the tip is known.
-    """
-    try:
-        links = Links.of(robot)
-    except ProblemError:
-        return lambda _, tips: np.asarray(tips[:, 2] >= table - STILL)
-    hung = links.places.copy()
-    for j in reversed(range(len(hung) - 1)):  # so that upright axes in parallel are as high as what they carry
-        hung[j] = _foot(links.axes[j + 1], links.points[j + 1], hung[j + 1]) if links.turns[j + 1] else hung[j + 1]
-    placed = _placed(replace(links, places=hung))
-    trial = placed(random_joints(robot, 2 * PROOFS, np.random.default_rng(0)))
-    moving = np.ptp(trial[..., 2], axis=0) > STILL
-
-    def stands(joints: Array, tips: Array) -> Rows:
-        heights = placed(joints)[:, moving, 2]
-        return np.asarray((tips[:, 2] >= table - STILL) & (heights >= table + radius - STILL).all(axis=1))
-
-    return stands
-
-
-def _foot(axis: Array, point: Array, place: Array) -> Array:
+def foot(axis: Array, point: Array, place: Array) -> Array:
     """Foot of the perpendicular from a place (3) to an axis through a point (3)."""
     return np.asarray(point + axis * float(axis @ (place - point)))

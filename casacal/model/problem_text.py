@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casacal.errors import CasacalError
+from casacal.model.capsules import Solid
 from casacal.model.dh_table import degrees, plain
 from casacal.model.instrument import Travel, readings_within
 from casacal.model.joints import Conventions, Joint
@@ -43,7 +44,7 @@ class Answers:
     tool: the tip at reading zero in the flange frame, mm. sign: +1 where a larger reading lengthens the tool, -1 where
     it shortens it. accuracy: absolute accuracy of the arm as its maker states it, mm. plates: the faces to touch, and
     whether they were only proposed. block: height of a gauge block on the first of them, mm. table: height of the table
-    on which everything stands, mm in the base frame.
+    on which everything stands, mm in the base frame. keep_out: boxes that the arm must not enter, as ranges of x, y, z.
 
     Raises CasacalError for what cannot be.
     """
@@ -56,6 +57,7 @@ class Answers:
     proposed: bool = False
     block: float | None = None
     table: float | None = None
+    keep_out: tuple[tuple[tuple[float, float], tuple[float, float], tuple[float, float]], ...] = ()
 
     def __post_init__(self) -> None:
         if self.tool is not None and (len(self.tool) != 3 or not all(map(math.isfinite, self.tool))):
@@ -71,6 +73,15 @@ class Answers:
             raise CasacalError(f"The gauge block is {self.block:g} mm high", f"Give 1 to {HIGHEST_BLOCK:g} mm")
         if self.table is not None and not math.isfinite(self.table):
             raise CasacalError(f"The table is at {self.table:g} mm", "Give its height in the base frame, mm")
+        for box in self.keep_out:
+            solid = Solid.box("box", box)
+            if not np.isfinite(box).all():
+                raise CasacalError(
+                    f"The box to keep out of is {box!r}", f"Give numbers of mm: {FARTHEST:g} is far enough"
+                )
+            if (solid.low < 0).all() and (solid.high > 0).all():
+                what = f"The box to keep out of is {box!r}, and the arm stands in it"
+                raise CasacalError(what, "Give ranges of x, y and z in the base frame, beside its origin")
         labels = [plate.label for plate in self.plates] + ([] if self.block is None else [BLOCK])
         if len(set(labels)) < len(labels):
             raise CasacalError(f"Two faces share a name ({', '.join(labels)})", "Name each differently")
@@ -128,6 +139,7 @@ class Answers:
             "proposed": self.proposed,
             "step": step,
             "table": plain(self.table or 0.0),
+            "keep_out": [tuple_of(tuple_of(map(plain, each)) for each in box) for box in self.keep_out],
             "todo": {name: "" if value is not None else f" {FILL_IN}." for name, value in vars(self).items()},
             "tool": ", ".join(map(plain, self.tool or (0.0, 0.0, 0.0))),
             "sign": "+1" if self.sign == 1 else "-1",

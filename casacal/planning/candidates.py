@@ -1,39 +1,39 @@
-"""Touches that the arm can make and keep clear of table, boxes and itself.
+"""Touches that the arm can make and keep clear of table, faces, boxes and itself.
 
-An arm is a chain of rods between its axes, as thick as is said; see `casacal.model.links`. Points along the rods are
-looked at, so that what is closer than half a spacing may pass unseen: give the links a little more than they measure.
+An arm is a chain of rods between its axes, as thick as is said, or as arms of its reach are: see
+`casacal.model.capsules`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 
 from casacal.data.samples import Samples, joined
 from casacal.errors import CasacalError, SimulationError, came
 from casacal.fit.nominal import nominal_tips
+from casacal.model.capsules import STILL, Collision, Skeleton, Solid
 from casacal.model.instrument import Probe
-from casacal.model.links import STILL, above_table, nodes_of
 from casacal.model.problem import Problem
-from casacal.model.robot import Robot
-from casacal.simulation.cell import Cell, Disturbances
-from casacal.simulation.simulate import simulate
-from casacal.simulation.touches import TouchingArm, default_cell, true_unknowns
+from casacal.model.robot import Robot, random_joints
+from casacal.simulation.cell import Cell, Disturbances, Face
+from casacal.simulation.simulate import simulate, touched_rows
+from casacal.simulation.touches import PLATE, Draw, TouchingArm, default_cell, refuse_cell, true_unknowns
 from casacal.uncertainty.tip_error import Box
 from casacal.values import Array, Rows, Value, is_real
-
-ALONG = 12  # points looked at on every rod, its ends among them
 
 
 @dataclass(frozen=True, eq=False)
 class Clearance(Value):
-    """Obstacles and link radii that postures keep clear of.
+    """Obstacles and link radii that postures keep clear of, beside table, faces and `keep_out` of a cell.
 
     boxes: ranges of x, y, z (mm, base frame) where neither arm nor tool may be. link_radius: how thick its links are,
-    mm, or None where only its tip and flange are looked at. The last link and the tool may come near a face.
+    mm; None takes what arms of this reach have, 0 looks at joints, flange and tip alone. The last link and the tool may
+    come near a face.
     """
 
     boxes: tuple[Box, ...] = ()
@@ -42,63 +42,67 @@ class Clearance(Value):
     def __post_init__(self) -> None:
         object.__setattr__(self, "boxes", tuple(self.boxes))
         for box in self.boxes:
-            try:
-                low, high = np.array(box, dtype=np.float64).T
-                sound = low.shape == (3,) and bool((low < high).all())
-            except (TypeError, ValueError):
-                sound = False
-            if not sound:
-                raise CasacalError(f"The box to keep out of is {box!r}", "Give ranges of x, y and z in mm, each rising")
+            Solid.box("box", box)
         radius = self.link_radius
-        if radius is not None and not (is_real(radius) and 0 < radius < math.inf):
-            raise CasacalError(f"The links' radius is {radius!r}", "Give a positive number of mm")
+        if radius is not None and not (is_real(radius) and 0 <= radius < math.inf):
+            raise CasacalError(f"The links' radius is {radius!r}", "Give a positive number of mm, or 0 for none")
 
-    def clear(self, robot: Robot, cell: Cell | None, joints: Array, tips: Array) -> Rows:
-        """Which postures (N, n; rad, mm) keep clear, whose tips (N, 3, mm) touch faces of a cell."""
-        if not self.boxes and self.link_radius is None:
-            return np.ones(len(joints), dtype=bool)
-        rods = np.concatenate([nodes_of(robot, joints), tips[:, None]], axis=1)
-        if self.link_radius is None:
-            return ~_inside(rods[:, -2:], self.boxes, 0.0)
-        part = np.linspace(0, 1, ALONG)[:, None]
-        points = rods[:, :-1, None] * (1 - part) + rods[:, 1:, None] * part  # on rods: (N, rods, ALONG, 3)
-        count, radius = len(joints), self.link_radius
-        hit = _inside(points.reshape(count, -1, 3), self.boxes, radius) | _near_itself(points, radius)
-        arm = points[:, :-2].reshape(count, -1, 3)  # the last link holds the tool, which is what touches
-        for face in () if cell is None else cell.faces:
-            hit |= near_face(arm, np.asarray(face.centre), face.axes, np.asarray(face.size) / 2, radius)
-        return ~hit
+    def around(self, robot: Robot, cell: Disturbances | None) -> Around:
+        """What there is around an arm, with the table and the faces of a cell."""
+        boxes = (*self.boxes, *(() if cell is None else cell.keep_out))
+        solids = [Solid.box(f"box {number}", box) for number, box in enumerate(boxes, 1)]
+        solids += [_solid(face) for face in cell.faces] if isinstance(cell, Cell) else []
+        skeleton = Skeleton.of(robot)
+        radius = skeleton.radius if self.link_radius is None else self.link_radius
+        known = skeleton.place is not None
+        return Around(skeleton, radius if known else 0.0, -math.inf if cell is None else cell.table, tuple(solids))
 
 
-def _inside(points: Array, boxes: Sequence[Box], radius: float) -> Rows:
-    """Whether any point (N, k, 3) is nearer to a box than a radius."""
-    found = np.zeros(len(points), dtype=bool)
-    for box in boxes:
-        low, high = np.array(box, dtype=np.float64).T
-        beyond = np.maximum(np.maximum(low - points, points - high), 0.0)
-        found |= (np.linalg.norm(beyond, axis=2) <= radius).any(axis=1)
-    return found
+@dataclass(frozen=True, eq=False)
+class Around:
+    """An arm, the radius of its links (mm; 0 where they are not looked at), and what stands around it."""
+
+    skeleton: Skeleton
+    radius: float
+    table: float
+    solids: tuple[Solid, ...]
+
+    def collisions(self, joints: Array, tips: Array) -> Iterator[Collision]:
+        """What postures (N, n; rad, mm) with tips (N, 3; mm) bring too near to what."""
+        return self.skeleton.collisions(joints, tips, self.radius, table=self.table, solids=self.solids)
+
+    def clear(self, joints: Array, tips: Array) -> Rows:
+        """Which postures (N, n; rad, mm), whose tips (N, 3; mm) touch faces, keep clear of everything."""
+        clear = np.ones(len(joints), dtype=bool)
+        for each in self.collisions(joints, tips):
+            clear &= ~each.rows
+        return clear
+
+    @property
+    def words(self) -> str:
+        """A sentence: what was looked at, and what was not."""
+        names = [*(["the table"] if self.table > -math.inf else []), *(each.name for each in self.solids)]
+        unseen = "Cables, the shapes of links and tool, and what else stands around were not looked at"
+        if self.radius:
+            off = f"off {', '.join(names)} and " if names else "off "
+            return (
+                f"Collisions looked at: links, as rods of {self.radius:g} mm radius between drawn axes (the wrist's "
+                f"and the tool half as thick), keep {off}one another; the last link and the tool may come near a face. "
+                f"{unseen}. Go through the plan slowly"
+            )
+        alone = "joints, flange and tip are" if self.skeleton.place else "the tip is"
+        why = "links" if self.skeleton.place else "links (joints do not carry one another in order)"
+        kept = f"only {alone} kept off {', '.join(names)}" if names else "nothing is looked at"
+        return (
+            f"Collisions not checked: of the arm {kept}; {why}, cables and what stands around were not looked at. Go "
+            "through the plan slowly"
+        )
 
 
-def near_face(points: Array, centre: Array, axes: Array, half: Array, radius: float) -> Rows:
-    """Whether any point (N, k, 3) is nearer to a rectangular face than a radius, or behind it."""
-    local = (points - centre) @ axes.T
-    aside = np.linalg.norm(np.maximum(np.abs(local[..., 1:]) - half, 0.0), axis=-1)
-    near = np.hypot(aside, np.maximum(local[..., 0], 0.0)) <= radius
-    behind = (local[..., 0] < 0) & (aside <= radius) & (local[..., 0] > -2 * radius)
-    return np.asarray((near & (local[..., 0] >= 0) | behind).any(axis=1))
-
-
-def _near_itself(points: Array, radius: float) -> Rows:
-    """Whether rods that do not follow one another are nearer than two radii; those shorter than that are no rods."""
-    count, rods = points.shape[:2]
-    found = np.zeros(count, dtype=bool)
-    long = [k for k in range(rods) if float(np.linalg.norm(points[0, k, -1] - points[0, k, 0])) > 2 * radius]
-    for place, first in enumerate(long):
-        for second in long[place + 2 :]:
-            apart = np.linalg.norm(points[:, first, :, None] - points[:, second, None], axis=-1)
-            found |= (apart < 2 * radius).any(axis=(1, 2))
-    return found
+def _solid(face: Face) -> Solid:
+    """A plate behind a face, as thick as one that lies on a table."""
+    low, high = (np.array([end, *(side * np.asarray(face.size) / 2)]) for end, side in ((-PLATE, -1), (0.0, 1)))
+    return Solid(f"face '{face.label}'", low, high, np.asarray(face.centre), face.axes, touched=True)
 
 
 ROUNDS = 20  # times that more touches are drawn where some do not keep clear
@@ -124,7 +128,7 @@ def cell_of(problem: Problem, cell: Disturbances | None) -> Disturbances:
     if isinstance(cell, Cell):
         still = Cell(faces=cell.faces, tilt=cell.tilt, travel=cell.travel)
     if cell is not None:
-        still = replace(still, table=cell.table)
+        still = replace(still, table=cell.table, keep_out=cell.keep_out)
     return replace(still, error_scale=0.0, repeatability=0.0, resolution=0.0)
 
 
@@ -137,40 +141,63 @@ def drawn_touch(problem: Problem, probe: Probe, samples: Samples) -> tuple[Touch
     return arm, readings, tips, plungers
 
 
+LIBRARY = 2000  # random postures, of which those that keep clear are where touches are sought from
+MOST_OF = 3  # pairs of a part and an obstacle that are named where hardly a touch keeps clear
+
+
 def pool_of(
     problem: Problem, cell: Disturbances | None, count: int, seed: int, clearance: Clearance | None = None
 ) -> Samples:
-    """Touches that the arm as drawn could make, without any error, above the cell's table.
+    """Touches that the arm as drawn could make, without any error, and keep clear of table, faces, boxes and itself.
 
     Raises SimulationError where faces are out of reach or below the table, CasacalError where hardly a touch keeps
     clear.
     """
     still = cell_of(problem, cell)
-    faces = still if isinstance(still, Cell) else None
-    for face in () if faces is None else faces.faces:
+    for face in still.faces if isinstance(still, Cell) else ():
         if face.lowest < still.table - STILL:
             what = (
                 f"Face '{face.label}' reaches down to z = {face.lowest:.0f} mm, and the table is at {still.table:g} mm"
             )
             raise SimulationError(what, "Say where the table is: --table Z, or Cell(..., table=Z)")
-    stands = above_table(problem.robot, still.table, (clearance and clearance.link_radius) or 0.0)
-    found: Samples | None = None
-    for k in range(ROUNDS):
-        drawn, tried = simulate(problem, still, samples=count, seed=seed + 7919 * k).samples, count * (k + 1)
-        tips = nominal_tips(problem, 0, drawn)
-        clear = stands(drawn.joints, tips)
-        if clearance is not None:
-            clear &= clearance.clear(problem.robot, faces, drawn.joints, tips)
-        good = np.flatnonzero(clear)
-        found = drawn.take(good) if found is None else joined(found, drawn.take(good))
-        if len(found) >= count:
-            return found.take(range(count))
-        if len(found) < RARE * tried:
+    around = (clearance or Clearance()).around(problem.robot, still)
+    found, tried, in_way = list[Samples](), 0, dict[str, int]()
+    probe, starts = problem.instrument.probe, _clear_postures(problem, around)
+    if probe is not None and isinstance(still, Cell):
+        refuse_cell(problem, probe, still)
+    while (missing := count - sum(map(len, found))) > 0:
+        share = max((count - missing) / tried, RARE) if tried else 1.0
+        number = min(math.ceil(1.1 * missing / share), count)
+        draw = Draw(seed + 7919 * len(found))
+        if probe is not None and isinstance(still, Cell):
+            drawn, *_ = touched_rows(problem, probe, still, number, draw, starts)
+        else:
+            drawn = simulate(problem, still, samples=number, seed=draw.seed).samples
+        tried += number
+        tips, clear = nominal_tips(problem, 0, drawn), np.ones(number, dtype=bool)
+        for part, other, rows in around.collisions(drawn.joints, tips):
+            clear &= ~rows
+            in_way[f"{part} against {other}"] = in_way.get(f"{part} against {other}", 0) + int(rows.sum())
+        found.append(drawn.take(np.flatnonzero(clear)))
+        if len(found) == ROUNDS or sum(map(len, found)) < RARE * tried:
             break
-    assert found is not None
-    what = f"Only {len(found)} of {tried} reachable touches keep above the table at z = {still.table:g} mm"
-    fix = "Say where the table is (--table Z, or Cell(..., table=Z)), or move the faces"
-    if clearance is not None:
-        what += ", and clear of boxes, faces and the arm itself"
-        fix += "; make the boxes or --link-radius smaller"
-    raise CasacalError(what, fix)
+    else:
+        return reduce(joined, found).take(range(count))
+    worst = sorted(in_way.items(), key=lambda each: -each[1])[:MOST_OF]
+    named = ", ".join(f"{words} ({hits / tried:.0%})" for words, hits in worst if hits)
+    few = sum(map(len, found))
+    what = f"Only {few} of {tried} reachable touches keep clear above the table at z = {still.table:g} mm"
+    what += f". In the way: {named}"
+    raise CasacalError(what, "Move the faces, make --keep-out or --link-radius smaller, or say where --table is")
+
+
+def _clear_postures(problem: Problem, around: Around) -> Array | None:
+    """Random postures (M, n; rad, mm) that keep clear; None where they are few, or nothing is touched."""
+    probe, rng = problem.instrument.probe, np.random.default_rng(0)
+    if probe is None:
+        return None
+    arm = TouchingArm.of(problem.robot, problem.instrument, probe, true_unknowns(problem, probe, 0.0, rng))
+    joints = random_joints(problem.robot, LIBRARY, rng)
+    tips, _ = arm.place(arm.local, joints, np.zeros((len(joints), 1)))
+    clear = around.clear(joints, tips)
+    return joints[clear] if clear.sum() >= RARE * LIBRARY else None

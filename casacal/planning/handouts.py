@@ -2,7 +2,7 @@
 
 A program goes above each touch, down slowly, waits for the reading, and goes back, clear of the faces all along, in
 RAPID (ABB), KRL (KUKA) or URScript (Universal Robots); moves are of the joints, with the values of the plan. The sheet
-has twenty touches a page, each with a picture of the posture and what to expect.
+has ten touches a page, each with a picture of the posture in its cell and what to expect.
 """
 
 from __future__ import annotations
@@ -12,17 +12,16 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from markupsafe import Markup
 
 from casacal.data.samples import WRITTEN
 from casacal.deployment.programs import KRL, RAPID, URSCRIPT, Language, in_comments, printable
-from casacal.errors import CasacalError, ProblemError, refuse_unknown
+from casacal.errors import CasacalError, refuse_unknown
 from casacal.fit.nominal import nominal_tips
-from casacal.model.links import above_table, nodes_of
 from casacal.model.problem import Problem
 from casacal.model.robot import inside_limits
-from casacal.pages.drawing import rendered, tag, together
-from casacal.planning.candidates import Clearance, cell_of, drawn_touch
+from casacal.pages.drawing import rendered
+from casacal.planning.candidates import Around, Clearance, cell_of, drawn_touch
+from casacal.planning.cell_drawing import drawings
 from casacal.planning.route import Route, joints_shown
 from casacal.simulation.cell import Cell, Disturbances
 from casacal.simulation.touches import TouchingArm
@@ -84,8 +83,7 @@ def approaches(
     levels = [level[back] for level in every]
     chosen, clear = np.zeros(int(back.sum()), dtype=int), np.ones(int(back.sum()), dtype=bool)
     if isinstance(still, Cell):
-        stands = above_table(problem.robot, still.table, (clearance and clearance.link_radius) or 0.0)
-        is_clear = partial(_is_clear, arm, still, clearance, stands)
+        is_clear = partial(_is_clear, arm, still, (clearance or Clearance()).around(problem.robot, still))
         for k in range(1, len(clear)):
             clear[k] = _raised(is_clear, levels, chosen, k)
     above = np.array([levels[level][k] for k, level in enumerate(chosen)])
@@ -119,14 +117,7 @@ def _raised(clear: Clear, levels: list[Array], chosen: Index, k: int) -> bool:
     return False
 
 
-def _is_clear(
-    arm: TouchingArm,
-    cell: Cell,
-    clearance: Clearance | None,
-    stands: Callable[[Array, Array], Rows],
-    start: Array,
-    end: Array,
-) -> bool:
+def _is_clear(arm: TouchingArm, cell: Cell, around: Around, start: Array, end: Array) -> bool:
     """Whether the straight way of the joints between two postures keeps off faces, table and all else that is said."""
     part = np.linspace(0, 1, ON_THE_WAY)[:, None]
     joints = start * (1 - part) + end * part
@@ -137,8 +128,7 @@ def _is_clear(
         height = local[over, 0]
         if (height < FREE).any() and not (height < -FREE).all():  # wholly behind it, it is another side's matter
             return False
-    free = clearance is None or bool(clearance.clear(arm.robot, None, joints, tips).all())
-    return free and bool(stands(joints, tips).all())
+    return bool(around.clear(joints, tips).all())
 
 
 def _above(arm: TouchingArm, joints: Array, readings: Array, tips: Array, axes: Array, retreat: float) -> Array:
@@ -238,12 +228,21 @@ def program_text(problem: Problem, route: Route, ways: Approaches, language: str
     return "".join([*parts, form.end])
 
 
-WIDE, HIGH = 64.0, 46.0  # size of a picture, in its own units
+def sheet_page(
+    problem: Problem,
+    route: Route,
+    name: str,
+    notes: Sequence[str] = (),
+    cell: Disturbances | None = None,
+    clearance: Clearance | None = None,
+) -> str:
+    """HTML of the sheet, in one file, of the problem called `name`.
 
-
-def sheet_page(problem: Problem, route: Route, name: str, notes: Sequence[str] = ()) -> str:
-    """HTML of the sheet, in one file, of the problem called `name`; notes: sentences on the cell, above the touches."""
-    layout, samples, pictures = problem.layout(), route.samples, _pictures(problem, route)
+    notes: sentences on the cell, above the touches. cell, clearance: as of the plan; what is drawn around the arm.
+    """
+    layout, samples = problem.layout(), route.samples
+    around = (clearance or Clearance()).around(problem.robot, cell)
+    overview, pictures = drawings(around, samples.joints, nominal_tips(problem, 0, samples))
     joints = [f"q{i}{_unit(kind)}" for i, kind in enumerate(layout.joints, 1)]
     expected = [f"{column}, expected{_unit(kind)}" for column, kind in layout.columns.items()]
     read = [f"{column}{_unit(kind)}" for column, kind in layout.columns.items()] or ["touched"]
@@ -258,35 +257,9 @@ def sheet_page(problem: Problem, route: Route, name: str, notes: Sequence[str] =
     titles = ["", *([] if pictures is None else ["posture"]), *layout.labels, *joints, *expected, *read]
     approach = problem.instrument.words.approach
     said = {"robot": problem.robot.name, "name": name, "approach": sentence(approach) if approach else ""}
-    context = {**said, "notes": notes, "titles": titles, "rows": rows, "blanks": len(read)}
+    context = {**said, "overview": overview, "notes": notes, "titles": titles, "rows": rows, "blanks": len(read)}
     return rendered("sheet.html", context)
 
 
 def _unit(kind: str) -> str:
     return WRITTEN[kind][0].replace("_", " ")
-
-
-def _pictures(problem: Problem, route: Route) -> list[Markup] | None:
-    """Each posture from the side and from above; None for an arm whose joints do not carry one another in order."""
-    try:
-        nodes = nodes_of(problem.robot, route.samples.joints)
-    except ProblemError:
-        return None
-    arms = np.concatenate([nodes, nominal_tips(problem, 0, route.samples)[:, None]], axis=1)
-    side, top = np.stack([np.hypot(arms[..., 0], arms[..., 1]), arms[..., 2]], axis=-1), arms[..., :2]
-    return [_picture([(side[k], side), (top[k], top)]) for k in range(len(arms))]
-
-
-def _picture(views: list[tuple[Array, Array]]) -> Markup:
-    """Views side by side, each of one arm in the frame of all."""
-    parts = []
-    for place, (arm, all_of_them) in enumerate(views):
-        low = all_of_them.min(axis=(0, 1))
-        unit = max(float(np.ptp(all_of_them, axis=(0, 1)).max()), 1e-9) / (HIGH - 6)
-        x = place * WIDE + 3 + (arm[:, 0] - low[0]) / unit
-        y = HIGH - 3 - (arm[:, 1] - low[1]) / unit
-        line = "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(x, y, strict=True))
-        parts.append(tag("path", at={"d": line, "fill": "none", "stroke": "#1d5f9e", "stroke-width": "2"}))
-        parts.append(tag("circle", at={"cx": f"{x[-1]:.1f}", "cy": f"{y[-1]:.1f}", "r": "2.4", "fill": "#c2560c"}))
-    box = f"0 0 {2 * WIDE:g} {HIGH:g}"
-    return tag("svg", together(*parts), at={"viewBox": box, "role": "img", "aria-label": "posture"})

@@ -147,9 +147,9 @@ def raised(face: Face, by: float, label: str) -> Face:
     return replace(face, label=label, centre=triple(np.asarray(face.centre) + by * face.axes[0]))
 
 
-def block_on(face: Face, label: str) -> Face:
-    """The top of a gauge block that stands in the middle of a face."""
-    return replace(raised(face, STEP, label), size=BLOCK)
+def block_on(face: Face, label: str, height: float = STEP) -> Face:
+    """The top of a gauge block of a height (mm) that stands in the middle of a face."""
+    return replace(raised(face, height, label), size=BLOCK)
 
 
 def rising(face: Face, towards: Array, label: str) -> Face:

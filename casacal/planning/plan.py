@@ -20,7 +20,6 @@ from casacal.fit.bound_problem import BoundProblem, bind
 from casacal.fit.nominal import nominal_tips
 from casacal.fit.slots import instances, make_slots
 from casacal.model.instrument import readings_within
-from casacal.model.links import is_chain
 from casacal.model.problem import Problem
 from casacal.planning.candidates import Clearance, cell_of, drawn_touch, pool_of, refuse_several
 from casacal.planning.choice import Choice, Criterion, seldom, wanted_joints
@@ -101,7 +100,8 @@ def plan(
         box: ranges of x, y, z in the base frame (mm) in which the tip is wanted; by default the whole workspace.
         targets: joint values (M, n; rad, mm) at which it is wanted, in place of a box.
         criterion: "tip" as above, or "parameters" for the least volume of what the unknowns may be (D-optimal).
-        clearance: what the arm must keep clear of beside the table; by default its links are not looked at.
+        clearance: boxes to keep clear of beside table and faces, and how thick the links are; by default no boxes,
+            and links as thick as those of arms of this reach.
         after: touches that were made already; those of the plan come on top of them.
         loose: what may have moved since they were made, by the name of the unknown: standard deviation, rad or mm. The
             fewest touches that restore the zero of a joint after its motor was changed are found so.
@@ -192,13 +192,17 @@ NEARLY = 0.75  # of the touches that verify every face, from which on there are 
 
 
 def enough_to_verify(problem: Problem, pool: Samples, count: int) -> int:
-    """Measurements to verify: a few more than a count where these then place every face, point or anchor of a pool."""
-    instrument, least = problem.instrument, 0
+    """Measurements to verify: a few more than a count where these then place every face, point or anchor of a pool.
+
+    Each has one to lose, such as a touch that cannot be made where the real face stands.
+    """
+    instrument, least, spare = problem.instrument, 0, 0
     for key in instrument.datum:
         unknown = instrument.unknowns[key]
         each = int((~np.isfinite(unknown.prior_stds)).sum()) // problem.models[0].components + 1
-        least = max(least, each * len(instances(instrument, key, unknown, pool)))
-    return max(count, least) if count >= NEARLY * least else count
+        there = len(instances(instrument, key, unknown, pool))
+        least, spare = max(least, each * there), max(spare, (each + 1) * there)
+    return max(count, spare) if count >= NEARLY * least else count
 
 
 def _by_label(rows: Index, labels: Labels, first: str | None) -> Index:
@@ -279,23 +283,27 @@ def touches_for(
     *,
     box: Box | None = None,
     targets: Array | None = None,
+    clearance: Clearance | None = None,
     after: Samples | None = None,
     loose: Mapping[str, float] | None = None,
+    again: float = 0.0,
+    check: float = 0.0,
     most: int = 240,
 ) -> int:
-    """About the fewest touches to be fitted that bring the expected tip error below a tolerance, mm RMS.
+    """About the fewest touches that bring the expected tip error below a tolerance, mm RMS, when they are fitted.
 
     Without a tolerance, as many as tell more than the noise of the others averaged: where noise alone is left, half as
     many again leave sqrt(2/3) of the error. Then never fewer than half as many again as `calibrate` takes at least,
     and, unless that is more, at most 120.
 
-    box, targets, after, loose: as for `plan`. Raises CasacalError where so many as `most` miss the tolerance.
+    box, targets, clearance, after, loose: as for `plan`. again, check: parts that come on top, repeated or kept to
+    verify. Raises CasacalError where so many as `most` miss the tolerance.
     """
     refuse_several(problem, "A plan is for one instrument", "Plan for", box, targets)
     if tolerance is not None and not (is_real(tolerance) and 0 < tolerance < math.inf):
         shown = f"{tolerance:g}" if is_real(tolerance) else came(tolerance)
         raise CasacalError(f"Got {shown} as the tolerance", "Give a positive number of mm")
-    pool = pool_of(problem, cell, CANDIDATES, 0)
+    pool = pool_of(problem, cell, CANDIDATES, 0, clearance)
     bound = bound_pool(problem, pool, after, loose)
     choice = Choice.of(bound, wanted_joints(bound, box, targets), count=len(pool), loose=loose)
     rng = np.random.default_rng(0)
@@ -308,7 +316,7 @@ def touches_for(
             if then > AVERAGED * left:
                 break
             count, left = more, then
-        return count
+        return _in_all(problem, pool, count, again, check)
     count = min(3 if after is not None else 12, most)
     while (left := choice.error(choice.best_of(count, 1, rng))) > tolerance:
         if count == most:
@@ -316,7 +324,13 @@ def touches_for(
             fix = "Ask for less, measure with less noise, or add a face, a step or another instrument"
             raise CasacalError(what, fix)
         count = min(math.ceil(count * 1.25), most)
-    return count
+    return _in_all(problem, pool, count, again, check)
+
+
+def _in_all(problem: Problem, pool: Samples, fitted: int, again: float, check: float) -> int:
+    """Touches of a plan of which so many are fitted, whatever it takes to verify every face."""
+    count = round(fitted / max(1 - check - again, 0.1))
+    return count + enough_to_verify(problem, pool, round(check * count)) - round(check * count)
 
 
 FLAT = 0.93  # error over that of fewer touches above which more bring little
@@ -332,13 +346,11 @@ def plan_sentences(
     pool: int,
     after: bool,
     every: bool = True,
-    kept_clear: bool = False,
 ) -> list[str]:
     """Sentences: the set-up that is worth most, how many, what to expect, the curve and where it flattens.
 
     where: where the tip is wanted, in words. pool: among how many was chosen. after: whether others were made before.
-    every: whether all set-ups are listed, not only one that is much better. kept_clear: whether touches keep clear of
-    something, which set-ups are compared without.
+    every: whether all set-ups are listed, not only one that is much better.
     """
     fitted, check, again = (plan.purposes.count(purpose) for purpose in (FIT, CHECK, AGAIN))
     without = "Without them" if after else "Priors alone"
@@ -350,11 +362,10 @@ def plan_sentences(
     said = []
     if better := worth_most(compared) if compared else None:
         best, now = better
-        without_clear = "; both ignore what must be kept clear of" if kept_clear else ""
         now_is = f"{now.error:.3g} mm as it is" if math.isfinite(now.error) else "this one is out of reach"
         said.append(
             f"Consider another set-up first ({best.words}): with {fitted} fitted touches of {POOL} candidates it "
-            f"leaves {best.error:.3g} mm, {now_is}{without_clear}"
+            f"leaves {best.error:.3g} mm, {now_is}"
         )
     said += [
         f"{len(plan)} touches: {fitted} to fit, {again} of them once more, {check} kept to verify",
@@ -368,8 +379,8 @@ def plan_sentences(
     ]
     if compared and every:
         said.append(
-            f"Set-ups, each with {fitted} fitted touches of {POOL} candidates, with the table alone to clear, and "
-            f"none made before; so these figures compare with one another, not with the plan above, chosen of {pool}:"
+            f"Set-ups, each with {fitted} fitted touches of {POOL} candidates, and none made before; so these figures "
+            f"compare with one another, not with the plan above, chosen of {pool}:"
         )
     for each in compared if every else ():
         reach = "this arm cannot touch it" if math.isinf(each.error) else f"{each.error:.3g} mm"
@@ -402,21 +413,9 @@ def where_faces_stand(plan: Plan, problem: Problem) -> list[dict[str, Any]]:
     return found
 
 
-def links_checked(clearance: Clearance | None) -> bool:
-    """Whether links were looked at, as rods of some thickness."""
-    return clearance is not None and clearance.link_radius is not None
-
-
 def cell_words(plan: Plan, problem: Problem, clearance: Clearance | None) -> list[str]:
     """Sentences for setting up the cell: where each face stands, and what the plan keeps clear of."""
-    table, said = plan.cell.table, list[str]()
-    if not links_checked(clearance):
-        kept = "joints, flange and tip are" if is_chain(problem.robot) else "the tip is"
-        limit = f"only {kept} kept above the table at z = {table:g} mm" if table > -math.inf else "nothing is looked at"
-        said.append(
-            f"Collisions not checked: of the arm {limit}; links, cables and what stands around were not looked at. Go "
-            "through the plan slowly, or give --link-radius and --keep-out"
-        )
+    said = [(clearance or Clearance()).around(problem.robot, plan.cell).words]
     faces = where_faces_stand(plan, problem)
     for each in faces:
         (x, y, z), (u, v, w), (wide, deep) = each["centre_mm"], each["normal"], each["size_mm"]
@@ -447,7 +446,9 @@ def document(
     }
     curve = [{"touches": count, "expected_mm": error} for count, error in plan.curve.items()]
     found: dict[str, Any] = {"touches": counts, "tip_rms_mm": errors, "curve": curve, "written": list(written)}
-    found |= {"table_mm": plan.cell.table, "collisions_checked": links_checked(clearance)}
+    around = (clearance or Clearance()).around(problem.robot, plan.cell)
+    found |= {"table_mm": plan.cell.table, "collisions_checked": around.radius > 0, "link_radius_mm": around.radius}
+    found["collisions"] = around.words
     found["faces"] = where_faces_stand(plan, problem)
     if compared:
         found["setups"] = [{"words": each.words, "expected_mm": each.error} for each in compared]

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from casacal.errors import CasacalError
+from casacal.files import MADE
 from casacal.fit.bound_problem import bind
 from casacal.model.problem import Problem
-from casacal.planning.candidates import cell_of, pool_of
+from casacal.model.problem_file import ProblemFile
+from casacal.model.problem_text import word
+from casacal.pages.drawing import plain_text
+from casacal.planning.candidates import Clearance, cell_of, pool_of
 from casacal.planning.choice import Choice, wanted_joints
 from casacal.planning.offers import STEP, block_on, fresh, raised, rising
 from casacal.simulation.cell import Cell, Disturbances
 from casacal.uncertainty.tip_error import Box
-from casacal.values import Array, Value
+from casacal.values import Array, Value, plain
 
 POOL = 600  # touches among which is chosen in each set-up
 FEW = 3  # touches of each face that show whether it is in reach
@@ -45,13 +51,14 @@ def set_ups(
     touches: int = 40,
     box: Box | None = None,
     targets: Array | None = None,
+    clearance: Clearance | None = None,
     seed: int = 0,
 ) -> tuple[SetUp, ...]:
     """Compare ways to set the cell up by the tip error to expect from as many touches, the best first.
 
     As it is; one plate; it at two heights; three faces at right angles; a gauge block; other tilts. What this arm
-    cannot touch is last, with an infinite error. touches: how many are fitted in each. cell, box, targets, seed: as for
-    `plan`. Raises CasacalError for an instrument that touches no faces.
+    cannot touch is last, with an infinite error. touches: how many are fitted in each. cell, box, targets,
+    clearance, seed: as for `plan`. Raises CasacalError for an instrument that touches no faces.
     """
     still = cell_of(problem, cell)
     if not isinstance(still, Cell):
@@ -62,8 +69,8 @@ def set_ups(
     found = list[SetUp]()
     for words, other, place in _ways(problem.without_terms, still):
         try:
-            pool_of(other, place, FEW * len(place.faces), seed)  # soon says what is out of reach
-            bound = bind(other, pool_of(other, place, POOL, seed))
+            pool_of(other, place, FEW * len(place.faces), seed, clearance)  # soon says what is out of reach
+            bound = bind(other, pool_of(other, place, POOL, seed, clearance))
             choice = Choice.of(bound, wanted_joints(bound, box, targets))
             error = choice.error(choice.best_of(touches, 1, np.random.default_rng(seed)))
         except CasacalError:  # out of reach
@@ -79,6 +86,35 @@ def worth_most(compared: Sequence[SetUp]) -> tuple[SetUp, SetUp] | None:
     """The best of some set-ups and the present one; None where the best is hardly better."""
     best, now = min(compared, key=lambda each: each.error), [each for each in compared if each.as_it_is]
     return (best, now[0]) if now and best.error < WORTH * now[0].error else None
+
+
+GAUGE_BLOCK = "a gauge block"
+
+
+def with_block(problem: Problem, cell: Cell, height: float) -> tuple[Problem, Cell] | None:
+    """Problem and cell with a gauge block of a height (mm) on the first face; None where faces are those of a body."""
+    first, several = cell.faces[0], problem.instrument.with_faces_by_label()
+    label = fresh("block", cell.faces)
+    stepped = None if several is None else several.with_step(label, first.label, height)
+    if stepped is None:
+        return None
+    return Problem(problem.robot, stepped), replace(cell, faces=(*cell.faces, block_on(first, label, height)))
+
+
+def block_text(source: ProblemFile, cell: Cell, folder: Path, instrument: str | None) -> str:
+    """problem.py in a folder for a problem file and its cell with a gauge block, measured by one instrument of it."""
+    faces = [f"Face{(face.label, *map(plain, (face.centre, face.normal, face.size)))}" for face in cell.faces]
+    height = float((np.subtract(cell.faces[-1].centre, cell.faces[0].centre)) @ cell.faces[0].axes[0])
+    said = {
+        "name": word(source.name),
+        "faces": faces,
+        "height": f"{round(height, 9):g}",
+        "table": cell.table,
+        "made": MADE,
+    }
+    labels = {"block": cell.faces[-1].label, "first": cell.faces[0].label, "instrument": instrument}
+    path = Path(os.path.relpath(source.path, folder)).as_posix()
+    return plain_text("block.py.txt", {**said, **labels, "path": path})
 
 
 def _ways(problem: Problem, cell: Cell) -> Iterator[tuple[str, Problem, Cell]]:
@@ -99,11 +135,8 @@ def _ways(problem: Problem, cell: Cell) -> Iterator[tuple[str, Problem, Cell]]:
         if count < 3 or (square.sum(axis=1) < 2).all():  # there are not three faces at right angles already
             walls = (rising(first, first.axes[k], fresh(label, (first,))) for k, label in ((1, "wall"), (2, "side")))
             yield "three faces at right angles", labelled, replace(cell, faces=(first, *walls))
-        label = fresh("gauge block", cell.faces)
-        stepped = several.with_step(label, first.label, STEP)
-        if stepped is not None:
-            words = f"as it is, and a gauge block of {STEP:g} mm on '{first.label}'"
-            yield words, Problem(problem.robot, stepped), replace(cell, faces=(*cell.faces, block_on(first, label)))
+        if (blocked := with_block(problem, cell, STEP)) is not None:
+            yield f"as it is, and {GAUGE_BLOCK} of {STEP:g} mm on '{first.label}'", *blocked
     for other in TILTS:
         if abs(other - tilt) > 1:
             yield f"as it is, tilt up to {other:.0f} degrees", problem, replace(cell, tilt=math.radians(other))

@@ -10,9 +10,11 @@ from typing import Literal
 import numpy as np
 
 from casacal.errors import SimulationError, came
+from casacal.model.capsules import Solid
 from casacal.model.instrument import Travel, readings_within
 from casacal.model.problem_file import Surroundings
 from casacal.model.unknown import tangent_basis, unit_vector
+from casacal.uncertainty.tip_error import Box
 from casacal.values import Array, Index, plain
 
 UNBOUNDED = "repeatability resolution joint_std backlash flatness compliance hysteresis drift error_scale"
@@ -42,6 +44,7 @@ class Disturbances:
         error_scale: true parameters lie this many prior standard deviations (RMS) from nominal.
         table: height (mm, base frame) of what the arm stands on. Nothing of arm, tool or face is planned below it; by
             default the base plane, -inf where there is no table.
+        keep_out: boxes that nothing of arm and tool is planned in: ranges of x, y, z each (mm, base frame).
 
     """
 
@@ -55,8 +58,12 @@ class Disturbances:
     outlier_size: float = 1.0
     error_scale: float = 1.0
     table: float = 0.0
+    keep_out: tuple[Box, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "keep_out", tuple(plain(self.keep_out)))
+        for box in self.keep_out:
+            Solid.box("box", box)
         object.__setattr__(self, "gear_waves", _waves(self.gear_waves))
         if not 0 <= self.outliers < 1:
             raise SimulationError(f"The fraction of outliers is {self.outliers:g}", "Give 0 to less than 1")

@@ -114,8 +114,8 @@ class _Contact:
     forms: Sequence[int | None]
     growth: Array
 
-    def found(self, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Joints (P, n) and true readings (P,) of the first touch of each place."""
+    def found(self, rng: np.random.Generator, poses: Array | None = None) -> tuple[Array, Array]:
+        """Joints (P, n) and true readings (P,) of the first touch of each place; poses: as for `try_touches`."""
         touch, cell, first = self.touch, self.cell, self.plan.first
         which, lift, growth = self.plan.which[first], self.lift[first], self.growth[first]
         joints, readings = np.full((len(which), len(touch.robot.axes)), np.nan), np.full(len(which), np.nan)
@@ -123,7 +123,7 @@ class _Contact:
         for tried in range(MOST_ROUNDS):
             if tried >= ROUNDS and 2 * len(waiting) > len(which):
                 break
-            found = try_touches(touch, self.probe, cell, which, lift, self.forms, rng, waiting, growth)
+            found = try_touches(touch, self.probe, cell, which, lift, self.forms, rng, waiting, growth, poses=poses)
             good = found[2]
             joints[waiting[good]], readings[waiting[good]] = found[0][good], found[1][good]
             waiting = waiting[~good]
@@ -181,11 +181,12 @@ class _Contact:
 
 
 def touched_rows(
-    problem: Problem, probe: Probe, cell: Cell, samples: int | Samples, draw: Draw
+    problem: Problem, probe: Probe, cell: Cell, samples: int | Samples, draw: Draw, poses: Array | None = None
 ) -> tuple[Samples, dict[str, Array], ArmErrors, DialErrors]:
     """Samples of touches, the true local coordinates by name, and the errors of arm and dial that were drawn.
 
-    samples: how many, or the postures in which to touch; those in which the true arm cannot are left out.
+    samples: how many, or the postures in which to touch; those in which the true arm cannot are left out. poses:
+    (K, n; rad, mm) from which postures are sought; by default random ones.
     """
     truth_rng, pose_rng, noise_rng, form_rng, gear_rng, dial_rng, way_rng = draw.streams(7, of_the_arm=(0, 3, 4))
     local = draw.true(true_unknowns(problem, probe, cell.error_scale, truth_rng))
@@ -206,7 +207,7 @@ def touched_rows(
     forms = [int(form_rng.integers(2**32)) if cell.flatness > 0 else None for _ in cell.faces]
     contact = _Contact(touch, probe, cell, plan, lift, forms, arm.growth(plan.when))
     if postures is None:
-        joints, readings = contact.found(pose_rng)
+        joints, readings = contact.found(pose_rng, poses)
     else:
         joints, readings = postures.joints, postures.columns.get(probe.column or "", np.zeros(count))
     if cell.compliance > 0:

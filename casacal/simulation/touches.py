@@ -14,15 +14,16 @@ import numpy as np
 from casacal.data.columns import Labels
 from casacal.errors import SimulationError
 from casacal.kernels.block_rows import Batch
+from casacal.model.capsules import above_table
 from casacal.model.geometry import Plane
 from casacal.model.instrument import Instrument, Probe, readings_within
 from casacal.model.kinematics import stacked_poses
-from casacal.model.links import above_table
 from casacal.model.problem import Problem
 from casacal.model.robot import AXIS_WEIGHT, Robot, inside_limits, random_joints
 from casacal.model.traced_pose import traced
 from casacal.model.unknown import Unknown, tangent_basis, unit_vector
 from casacal.simulation.cell import OF_DIALS, OF_TOUCHES, Cell, Disturbances, Face, corner, levels, rectangles, triple
+from casacal.uncertainty.tip_error import Box
 from casacal.values import Array, Index, Rows
 
 ARRIVED = 1e-16
@@ -108,16 +109,15 @@ class TouchingArm:
             damping[k] = np.clip(np.where(better, damping[k] * 0.2, damping[k] * 5), 1e-12, 1e6)
         return joints
 
-    def nearest(self, targets: Array, axes: Array, poses: Array) -> Array:
-        """For each target (N, 3) with its plunger direction, the nearest of its own poses (N, M, n): (N, n).
+    def nearest(self, targets: Array, axes: Array, poses: Array, own: Index) -> Array:
+        """For each target (N, 3) with its plunger direction, the nearest of its own (N, M) among poses (K, n): (N, n).
 
         From afar, steps are so erratic that rounding decides where they lead; from nearby they are not.
         """
-        count, choices, n = poses.shape
-        tips, directions = self.place(self.local, poses.reshape(-1, n), np.zeros((1,)))
-        miss = ((tips.reshape(count, choices, 3) - targets[:, None]) ** 2).sum(axis=2)
-        miss += AXIS_WEIGHT**2 * ((directions.reshape(count, choices, 3) - axes[:, None]) ** 2).sum(axis=2)
-        return np.asarray(poses[np.arange(count), np.argmin(miss, axis=1)])
+        tips, directions = self.place(self.local, poses, np.zeros((1,)))
+        miss = ((tips[own] - targets[:, None]) ** 2).sum(axis=2)
+        miss += AXIS_WEIGHT**2 * ((directions[own] - axes[:, None]) ** 2).sum(axis=2)
+        return np.asarray(poses[own[np.arange(len(own)), np.argmin(miss, axis=1)]])
 
     def land(self, joints: Array, readings: Array, normals: Array, heights: Array) -> Array:
         """Smallest joint moves that put tips exactly on n . tip = height: (N, n)."""
@@ -277,11 +277,12 @@ def try_touches(
     growth: Array | None = None,
     *,
     starts: int = STARTS,
+    poses: Array | None = None,
 ) -> tuple[Array, Array, Rows]:
     """One try at each touch, or at those that wait: joint values, readings, and which of them succeeded.
 
     What is drawn does not depend on which touches wait, so that one touch that rounding decides leaves the others as
-    they are. starts: random poses among which each finds where to begin.
+    they are. starts: random poses among which each finds where to begin, drawn from poses (K, n) where there are some.
     """
     count = len(which)
     waiting = np.arange(count) if waiting is None else waiting
@@ -295,12 +296,16 @@ def try_touches(
     sine, azimuth = np.sqrt(1 - cosine**2), rng.uniform(0, 2 * math.pi, count)
     parts = np.column_stack([-cosine, sine * np.cos(azimuth), sine * np.sin(azimuth)])
     directions = np.einsum("ka,kax->kx", parts, axes)
-    poses = random_joints(touch.robot, count * starts, rng).reshape(count, starts, -1)
+    if poses is None:
+        drawn = random_joints(touch.robot, count * starts, rng).reshape(count, starts, -1)[waiting]
+        poses, own = drawn.reshape(-1, drawn.shape[2]), np.arange(len(waiting) * starts).reshape(-1, starts)
+    else:
+        own = rng.integers(len(poses), size=(count, starts))[waiting]
     which, grown = which[waiting], (np.ones(count) if growth is None else growth)[waiting]
-    lift, readings, uv, axes, centres, half, targets, directions, poses = (
-        each[waiting] for each in (lift, readings, uv, axes, centres, half, targets, directions, poses)
+    lift, readings, uv, axes, centres, half, targets, directions = (
+        each[waiting] for each in (lift, readings, uv, axes, centres, half, targets, directions)
     )
-    joints = touch.reach(targets, directions, readings, touch.nearest(targets, directions, poses))
+    joints = touch.reach(targets, directions, readings, touch.nearest(targets, directions, poses, own))
     joints, inside = touch.within_limits(joints)
     heights = levels(cell, which, uv, seeds, lift) / grown  # where the arm without its growth stands as it touches
     joints = touch.land(joints, readings, axes[:, 0], heights)
@@ -343,12 +348,13 @@ def refuse_cell(problem: Problem, probe: Probe, cell: Cell) -> None:
         raise SimulationError(f"The cell has a {setting}, and the problem touches without a dial", fix)
 
 
-def default_cell(problem: Problem, *, table: float = 0.0) -> Cell:
+def default_cell(problem: Problem, *, table: float = 0.0, keep_out: tuple[Box, ...] = ()) -> Cell:
     """Three faces where this arm touches them most readily; the same for the same problem.
 
     They stand above a table (height in mm, base frame), in front of the base (along its x axis) where the arm reaches
-    there. They are at right angles, or, for an arm that cannot point its plunger so freely, such as a SCARA, each is
-    inclined against the plunger another way. A problem with one plane gets one face, where it declares the plane.
+    there, and where the tip is out of boxes to keep out of. They are at right angles, or, for an arm that cannot point
+    its plunger so freely, such as a SCARA, each is inclined against the plunger another way. A problem with one plane
+    gets one face, where it declares the plane.
     Raises SimulationError when no such place is found.
     """
     probe, rng = problem.instrument.probe, np.random.default_rng(0)
@@ -381,7 +387,7 @@ def default_cell(problem: Problem, *, table: float = 0.0) -> Cell:
             )
             low = [_moved(cell, table + PLATE) for cell in corners if math.isfinite(table)]
             kinds += [(low, ENOUGH), (corners, ENOUGH), (facets, ENOUGH)]
-    stands = above_table(problem.robot, table)
+    stands = above_table(problem.robot, table, keep_out)
     for cells, enough in kinds:
         best, share = None, 0.0
         for cell in cells:
@@ -392,7 +398,7 @@ def default_cell(problem: Problem, *, table: float = 0.0) -> Cell:
             if reached > share:
                 best, share = cell, reached
         if best is not None and share >= enough:
-            return best
+            return replace(best, keep_out=keep_out)
     raise SimulationError(
         f"No place was found where '{problem.robot.name}' can touch {what} above a table at z = {table:g} mm",
         "Say where the table is (--table Z), or define `cell = Cell(faces=...)` in the problem file",

@@ -149,3 +149,28 @@ def test_it_prints(browser, report):
     pdf = printed(browser, report)
     assert pdf.startswith(b"%PDF-")
     assert 5 <= len(re.findall(rb"/Type\s*/Page\b", pdf)) <= 12
+
+
+def test_an_arm_is_large_enough_to_be_recognised(browser, report, tmp_path):
+    """In the report and above a sheet 200 pixels high, beside each touch 90."""
+    sheet = tmp_path / "sheet.html"
+    asked = [
+        "plan",
+        str(ROOT / "problems" / "ur5"),
+        "--touches",
+        "12",
+        "--pool",
+        "60",
+        "--out",
+        str(tmp_path / "p.csv"),
+    ]
+    assert main([*asked, "--sheet", str(sheet)]) == 0
+    size = {"width": WIDTHS["desktop"], "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    for page, many, look, least in ((report, 2, "svg.arm", 200), (sheet, 2, ".overview svg.arm", 200),
+                                    (sheet, 24, "td svg.arm", 90)):  # fmt: skip
+        browser.get(page.as_uri())
+        found = [each.size for each in browser.find_elements("css selector", look)]
+        assert len(found) == many
+        assert min(each["height"] for each in found) >= least
+        assert min(each["width"] for each in found) > 0.3 * least

@@ -2,12 +2,14 @@
 
 import csv
 import io
+import json
 
 import numpy as np
 import pytest
 
-from casacal import calibrate, load, load_problem, simulate, verify
+from casacal import Cell, calibrate, load, load_problem, simulate, verify
 from casacal.cli.main import main
+from casacal.planning.candidates import Clearance, pool_of
 
 TABLE = """# name: six
 # convention: standard
@@ -82,9 +84,42 @@ def test_without_plates_some_are_proposed_above_the_table_and_marked(made, capsy
     assert load_problem(plain).cell is None
 
 
+def test_boxes_to_keep_out_of_are_kept_and_obeyed(made, tmp_path, capsys):
+    """A column beside the plate: in problem.py, in the plan by default, and by both of `plan` and `measure` said."""
+    words = ["--plate", "floor:700,0,40:300", "--keep-out", "500:600,-400:-150,0:900", "--keep-out=-900:-800,-9:9,0:50"]
+    code, place = made("beside", *words)
+    assert code == 0
+    source = load_problem(place)
+    assert source.cell.keep_out == (((500, 600), (-400, -150), (0, 900)), ((-900, -800), (-9, 9), (0, 50)))
+    assert "boxes that the arm keeps out of" in (place / "README.md").read_text(encoding="utf-8")
+    capsys.readouterr()
+    asked = ["plan", str(place), "--touches", "20", "--pool", "200", "--out", str(tmp_path / "plan.csv"), "--json"]
+    assert main(asked) == 0
+    assert "keep off the table, box 1, box 2, face 'floor'" in json.loads(capsys.readouterr().out)["collisions"]
+    free = pool_of(source.problem, Cell(faces=source.cell.faces), 300, 0).joints
+    tips = np.full((len(free), 3), 5e3)
+    box = Clearance(source.cell.keep_out[:1]).around(source.problem.robot, None)
+    kept = pool_of(source.problem, source.cell, 300, 0).joints
+    assert not box.clear(free, tips).all()
+    assert box.clear(kept, tips).all()
+    code, there = made("high", "--keep-out", "-2000:2000,-2000:2000,-900:250")
+    assert code == 2, "a tip cannot be above the box on three faces that stand on the table"
+    code, there = made("above", "--keep-out", "100:2000,-2000:2000,-900:250")
+    assert code == 0
+    source = load_problem(there)
+    assert len(source.cell.faces) == 3
+    assert len(pool_of(source.problem, source.cell, 60, 0)) == 60, "where it is proposed, it can be planned"
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [
+        (["--keep-out", "0.4:0.6,0:1,0:1"], "Give mm in the base frame: 0.5 m are 500"),
+        (["--keep-out", "600:400,0:100,0:100"], "Give ranges of x, y and z in mm, each rising"),
+        (["--keep-out", "-50:900,-100:100,-1:500"], "and the arm stands in it"),
+        (["--keep-out", "50:inf,0:100,0:100"], "Give numbers of mm"),
+        (["--keep-out", "50:nan,0:100,0:100"], "each rising"),
+        (["--keep-out", "50:60,0:100"], "is not X0:X1,Y0:Y1,Z0:Z1"),
         (["--plate", "floor:0.7,0,0.04"], "Give mm in the base frame: 0.6 m are 600"),
         (["--plate", "floor:700,0,-40"], "reaches down to z = -40 mm, and the table is at 0 mm"),
         (["--plate", "wall:700,0,100:1,0,0:300"], "reaches down to z = -50 mm"),

@@ -9,13 +9,16 @@ import html5lib
 import numpy as np
 import pytest
 from conftest import ROOT
+from scipy.optimize import minimize
 
 from casacal import Cell, Face, Problem, TrackedPoint, bind, load_problem, plan, simulate
 from casacal.cli.main import main
 from casacal.errors import CasacalError
-from casacal.model.links import nodes_of
+from casacal.fit.nominal import nominal_tips
+from casacal.model.capsules import Skeleton, between, to_box
 from casacal.model.robot import random_joints
-from casacal.planning.candidates import Clearance, near_face
+from casacal.planning.candidates import Clearance
+from casacal.planning.cell_drawing import CellDrawing
 from casacal.planning.choice import Choice
 from casacal.planning.handouts import approaches, program_text, sheet_page
 from casacal.planning.plan import touches_for
@@ -37,12 +40,12 @@ def test_nodes_are_carried_by_the_joints_before_them(name):
     source = load_problem(ROOT / "problems" / name)
     robot = source.problem.robot
     joints = random_joints(robot, 5, np.random.default_rng(1))
-    nodes = nodes_of(robot, joints)
-    assert nodes.shape == (5, joints.shape[1] + 1, 3)
+    nodes = Skeleton.of(robot).place(joints)
+    assert nodes.shape == (5, joints.shape[1] + 2, 3)
     for j in range(joints.shape[1]):
         moved = joints.copy()
         moved[:, j] += 0.1 if robot.revolute[j] else 20.0
-        others = nodes_of(robot, moved)
+        others = Skeleton.of(robot).place(moved)
         still = j + 1 if robot.revolute[j] else j  # a place on a turning axis stays where it is
         assert others[:, :still] == pytest.approx(nodes[:, :still], abs=1e-9)
         assert not np.allclose(others[:, -1], nodes[:, -1]) or j == joints.shape[1] - 1
@@ -53,13 +56,13 @@ def test_flange_is_the_last_node(hsr):
     made = simulate(problem, samples=8, seed=1)
     bound = bind(problem, made.samples)
     flange = bound.tips(bound.x0, made.samples.joints)
-    assert nodes_of(problem.robot, made.samples.joints)[:, -1] == pytest.approx(flange, abs=1e-6)
+    assert Skeleton.of(problem.robot).place(made.samples.joints)[:, -1] == pytest.approx(flange, abs=1e-6)
 
 
 def test_boxes_are_kept_out_of(hsr, small):
     """By brute force: a thousand points on every rod."""
     robot, joints = hsr.problem.robot, small.samples.joints
-    nodes = nodes_of(robot, joints)
+    nodes = Skeleton.of(robot).place(joints)
     tips = nodes[:, -1] + [0.0, 0.0, -5.0]
     low, high = nodes[0, 4] + [[-60.0], [60.0]]  # about the wrist of the first
     box = tuple(zip(low.tolist(), high.tolist(), strict=True))
@@ -67,45 +70,76 @@ def test_boxes_are_kept_out_of(hsr, small):
     part = np.linspace(0, 1, 1000)[:, None]
     points = (rods[:, :-1, None] * (1 - part) + rods[:, 1:, None] * part).reshape(len(joints), -1, 3)
     away = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0), axis=2).min(axis=1)
-    found = Clearance((box,), 60.0).clear(robot, None, joints, tips)
-    assert not found[away < 45].any()
-    assert found[away > 60].all()
-    assert (away < 45).any()
-    assert (away > 60).any()
+    found = np.all([~rows for _, other, rows in Clearance((box,), 60.0).around(robot, None).collisions(joints, tips)
+                    if other == "box 1"], axis=0)  # fmt: skip
+    thick = np.repeat([60.0] * 5 + [30.0] * 3, 1000)  # the last two links and the tool are half as thick
+    away = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0), axis=2)[:, 1000:] - thick[1000:]
+    np.testing.assert_array_equal(found, away.min(axis=1) > 0)
+    assert 0 < found.sum() < len(found)
     ends = ((nodes[:, -1] >= low) & (nodes[:, -1] <= high)).all(axis=1)
-    assert (Clearance((box,)).clear(robot, None, joints, tips)[ends] == 0).all()
-    assert Clearance().clear(robot, None, joints, tips).all()
+    assert (Clearance((box,), 0).around(robot, None).clear(joints, tips) == ~ends).all(), "flange and tip alone"
 
 
-@pytest.mark.parametrize(
-    ("point", "near"),
-    [
-        ((0, 0, 40), True),
-        ((0, 0, 60), False),
-        ((120, 0, 40), True),
-        ((140, 0, 40), False),
-        ((0, 0, -20), True),
-        ((0, 0, -500), False),
-        ((300, 0, 0), False),
-    ],
-)
-def test_near_a_face(point, near):
-    axes = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
-    points = np.array([[point]], dtype=float)
-    assert near_face(points, np.zeros(3), axes, np.array([100.0, 50.0]), 50.0)[0] == near
+def least(one, two):
+    """The least distance of two convex bodies, each a function of parameters in 0 to 1, by SciPy."""
+    count = len(one(None)), len(two(None))
+
+    def away(x):
+        return float(np.sum((one(x[: count[0]]) - two(x[count[0] :])) ** 2))
+
+    starts = np.random.default_rng(0).uniform(0, 1, size=(3, sum(count)))
+    found = min(
+        minimize(away, x, bounds=[(0, 1)] * sum(count), options={"ftol": 1e-16, "gtol": 1e-10}).fun for x in starts
+    )
+    return np.sqrt(found)
+
+
+def segment(start, end):
+    return lambda x: np.zeros(1) if x is None else start + x[0] * (end - start)
+
+
+def test_distances_of_segments_and_boxes_are_those_that_a_search_finds():
+    rng = np.random.default_rng(3)
+    ends = rng.uniform(-300, 300, size=(4, 60, 3))
+    ends[1, :8] = ends[0, :8]  # of no length
+    ends[3, 8:16] = ends[2, 8:16] + 1.7 * (ends[1, 8:16] - ends[0, 8:16])  # parallel
+    ends[2, 16:24] = ends[0, 16:24] + 0.3 * (ends[1, 16:24] - ends[0, 16:24])  # touching
+    ends[1, 24:32, :2] = ends[0, 24:32, :2]  # along an axis
+    low, high = np.array([-20.0, -150.0, -60.0]), np.array([0.0, 150.0, 60.0])
+
+    def box(x):
+        return np.zeros(3) if x is None else low + x * (high - low)
+
+    apart, off = between(*ends), to_box(ends[0], ends[1], low, high)
+    for k in range(60):
+        a, b, c, d = ends[:, k]
+        assert apart[k] == pytest.approx(least(segment(a, b), segment(c, d)), abs=2e-3)
+        assert off[k] == pytest.approx(least(segment(a, b), box), abs=2e-3)
+    assert (off == 0).any()
+
+
+def test_a_thin_rod_does_not_slip_through_a_thin_plate(hsr):
+    """A tool that pierces the second face, and one that ends on it."""
+    robot, joints = hsr.problem.robot, np.zeros((2, 6))
+    flange = Skeleton.of(robot).place(joints)[:, -1]
+    tips = np.add(flange, ((0.0, 0.0, -300.0), (0.0, 0.0, -120.0)))
+    cell = Cell(faces=(Face("thin", tuple(tips[1]), (0.0, 0.0, 1.0), (0.5, 0.5)),))
+    assert Clearance().around(robot, cell).clear(joints, tips).tolist() == [False, True]
+    found = Clearance().around(robot, cell).collisions(joints, tips)
+    assert [(part, other) for part, other, rows in found if rows.any()] == [("the tool", "face 'thin'")]
 
 
 def test_a_plan_keeps_clear(hsr):
     box = ((-3000.0, 3000.0), (-3000.0, 3000.0), (700.0, 900.0))
     free = plan(hsr.problem, hsr.cell, touches=20, pool=300, starts=1)
-    kept = plan(hsr.problem, hsr.cell, touches=20, pool=300, starts=1, clearance=Clearance((box,)))
-    heights = [nodes_of(hsr.problem.robot, each.samples.joints)[:, -1, 2] for each in (free, kept)]
+    kept = plan(hsr.problem, hsr.cell, touches=20, pool=300, starts=1, clearance=Clearance((box,), 0))
+    heights = [Skeleton.of(hsr.problem.robot).place(each.samples.joints)[:, -1, 2] for each in (free, kept)]
     assert ((heights[0] > 700) & (heights[0] < 900)).any()
     assert not ((heights[1] > 700) & (heights[1] < 900)).any()
     assert len(kept) == 20
     everywhere = ((-5000.0, 5000.0),) * 3
     with pytest.raises(
-        CasacalError, match=r"Only 0 of \d+ reachable touches keep above the table at z = 0 mm, and clear of boxes"
+        CasacalError, match=r"Only 0 of \d+ reachable .* table at z = 0 mm. In the way: link 1 against box 1 \(100%\)"
     ):
         plan(hsr.problem, hsr.cell, touches=20, pool=300, clearance=Clearance((everywhere,)))
     for wrong in ({"boxes": (((0, 1), (0, 1)),)}, {"boxes": (((1, 0), (0, 1), (0, 1)),)}, {"link_radius": -1.0}):
@@ -119,8 +153,8 @@ def test_arms_keep_off_themselves():
     folded, stretched = np.zeros(6), np.zeros(6)
     folded[2] = np.pi * 0.98
     joints = np.array([folded, stretched])
-    tips = nodes_of(robot, joints)[:, -1]
-    assert Clearance((), 45.0).clear(robot, None, joints, tips).tolist() == [False, True]
+    tips = Skeleton.of(robot).place(joints)[:, -1]
+    assert Clearance((), 45.0).around(robot, None).clear(joints, tips).tolist() == [False, True]
 
 
 def test_determinants_are_made_small():
@@ -277,13 +311,13 @@ def test_programs_are_for_six_joints_that_turn(small):
         program_text(source.problem, small, ways, "krll", "arm")
 
 
-def test_a_sheet_has_twenty_touches_a_page(hsr):
+def test_a_sheet_has_ten_touches_a_page(hsr):
     cell = Cell(faces=tuple(replace(face, label=f"<{face.label}> & co") for face in hsr.cell.faces))
     made = plan(hsr.problem, cell, touches=45, pool=300, starts=1)
     parser = html5lib.HTMLParser(strict=True, namespaceHTMLElements=False)
-    tree = parser.parse(sheet_page(hsr.problem, made, "arm <1>"))
+    tree = parser.parse(sheet_page(hsr.problem, made, "arm <1>", cell=made.cell))
     tables = tree.findall(".//table")
-    assert [len(table.findall("./tbody/tr")) for table in tables] == [20, 20, 5]
+    assert [len(table.findall("./tbody/tr")) for table in tables] == [10, 10, 10, 10, 5]
     rows = tree.findall(".//tbody/tr")
     for k, row in enumerate(rows):
         cells = ["".join(cell.itertext()) for cell in row.findall("td")]
@@ -291,9 +325,39 @@ def test_a_sheet_has_twenty_touches_a_page(hsr):
         assert [float(cell) for cell in cells[3:9]] == pytest.approx(np.degrees(made.samples.joints[k]), abs=1e-4)
         assert float(cells[9]) == pytest.approx(made.samples.columns["reading"][k], abs=0.006)
         assert cells[10] == ""
-        assert sum(str(each.tag).endswith("path") for each in row.iter()) == 2
+        assert sum(str(each.tag).endswith("svg") for each in row.iter()) == 2
+        assert [each.get("href") for each in row.iter() if str(each.tag).endswith("use")] == ["#cell-0", "#cell-1"]
     assert sum(row.get("class") == "check" for row in rows) == made.purposes.count("check")
     assert "http" not in sheet_page(hsr.problem, made, "arm")
+
+
+def test_a_drawing_is_to_scale(hsr, small):
+    """From above: nodes, faces, tips and the width of rods by one scale; the plunger ends at the circle."""
+    around = Clearance().around(hsr.problem.robot, hsr.cell)
+    tips = nominal_tips(hsr.problem, 0, small.samples)
+    drawing = CellDrawing.of(around, small.samples.joints, tips)
+    side, top = (html5lib.parseFragment(view, namespaceHTMLElements=False)[0] for view in drawing.overview())
+    parts = [each for each in top.iter() if str(each.tag).endswith("path")]
+    lines = [np.array(re.findall(r"-?[\d.]+", each.get("d")), float).reshape(-1, 2) for each in parts]
+    nodes = around.skeleton.place(small.samples.joints)[0]
+    arm, wrist = len(hsr.cell.faces) + 1, len(hsr.cell.faces) + 2
+    drawn = np.vstack([lines[arm], lines[wrist][1:]])
+    seen = np.vstack([nodes[1:], tips[0]])[:, :2]
+    scale = np.linalg.norm(drawn[-1] - drawn[0]) / np.linalg.norm(seen[-1] - seen[0])
+    flipped = (drawn - drawn[0]) * [1, -1] / scale
+    np.testing.assert_allclose(flipped, seen - seen[0], atol=0.2 / scale)
+    assert float(parts[arm].get("stroke-width")) == pytest.approx(2 * around.radius * scale, abs=0.06)
+    assert float(parts[wrist].get("stroke-width")) == pytest.approx(around.radius * scale, abs=0.06)
+    floor = (lines[0] - drawn[0]) * [1, -1] / scale + seen[0]
+    assert np.ptp(floor, axis=0) == pytest.approx([600, 600], abs=0.2 / scale)
+    assert floor[:-1].mean(axis=0) == pytest.approx(hsr.cell.faces[0].centre[:2], abs=0.2 / scale)
+    circle = next(each for each in top.iter() if str(each.tag).endswith("circle"))
+    assert [float(circle.get("cx")), float(circle.get("cy"))] == pytest.approx(drawn[-1].tolist(), abs=0.1)
+    ground = next(each for each in side.iter() if str(each.tag).endswith("rect"))
+    height = next(each for each in side.iter() if str(each.tag).endswith("circle"))
+    assert (float(ground.get("y")) - float(height.get("cy"))) / scale == pytest.approx(tips[0, 2], abs=0.2 / scale)
+    names = ["".join(each.itertext()) for each in top.iter() if str(each.tag).endswith("text")]
+    assert names == ["floor", "wall", "side"]
 
 
 @pytest.mark.long
@@ -334,18 +398,18 @@ def test_all_of_it_from_the_command_line(tmp_path, capsys):
 def test_links_keep_off_faces_unless_it_is_the_tool_that_touches(hsr, radius):
     """A plate across the middle of each link in turn, and one a little further off than the link is thick."""
     robot, joints = hsr.problem.robot, np.array([[0.2, -0.3, 0.4, 0.1, 0.3, 0.0]])
-    nodes = nodes_of(robot, joints)
+    nodes = Skeleton.of(robot).place(joints)
     tips = nodes[:, -1] + [0.0, 0.0, -150.0]
     rods = np.concatenate([nodes, tips[:, None]], axis=1)[0]
     keep = Clearance((), radius)
-    assert keep.clear(robot, None, joints, tips).all()
-    long = [k for k in range(len(rods) - 3) if np.linalg.norm(rods[k + 1] - rods[k]) > 500]
+    assert keep.around(robot, None).clear(joints, tips).all()
+    long = [k for k in range(1, len(rods) - 3) if np.linalg.norm(rods[k + 1] - rods[k]) > 500]
     assert long
     for k in long:
         middle, along = (rods[k] + rods[k + 1]) / 2, rods[k + 1] - rods[k]
         across = np.cross(along, [0.3, 1.0, 0.2]) / np.linalg.norm(np.cross(along, [0.3, 1.0, 0.2]))
         for away, clear in ((0.5 * radius, False), (1.5 * radius, True)):
             face = Face("plate", middle - away * across, across, size=(120.0, 120.0))
-            assert keep.clear(robot, Cell(faces=(face,)), joints, tips).tolist() == [clear], (k, away)
+            assert keep.around(robot, Cell(faces=(face,))).clear(joints, tips).tolist() == [clear], (k, away)
     at_tool = Face("plate", tips[0], (0.0, 0.0, 1.0), size=(20.0, 20.0))
-    assert keep.clear(robot, Cell(faces=(at_tool,)), joints, tips).all()
+    assert keep.around(robot, Cell(faces=(at_tool,))).clear(joints, tips).all()

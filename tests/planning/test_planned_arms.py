@@ -1,8 +1,11 @@
 """Plans of five arms from their makers' tables, looked at by kinematics of our own: nothing goes below the table."""
 
+import io
 import json
 import math
 import os
+import re
+import shlex
 import subprocess
 import sys
 
@@ -15,8 +18,8 @@ from planned_arms import ARMS
 from casacal import CasacalError, Cell, Face, Parameter, Robot, chain, corner, load_problem, plan
 from casacal.cli.main import main
 from casacal.errors import SimulationError
+from casacal.model.capsules import above_table
 from casacal.model.kinematics import translate_x
-from casacal.model.links import above_table
 from casacal.planning.candidates import Clearance
 from casacal.simulation.cell import Disturbances
 from casacal.simulation.touches import default_cell
@@ -58,13 +61,14 @@ def test_nothing_goes_below_the_base_plane_and_each_face_is_told(folders, tmp_pa
     asked = ["plan", str(folders[name]), "--out", str(out), "--touches", "40", "--pool", "300", "--sheet", str(sheet)]
     assert main(asked) == 0
     said = capsys.readouterr().out
-    assert said.startswith("Collisions not checked: ")
+    assert said.startswith("Collisions looked at: links, as rods of ")
     assert main([*asked, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     rows, joints = joints_of(out, arm)
     assert heights(arm, joints).min() > -1e-3
     assert found["table_mm"] == 0
-    assert found["collisions_checked"] is False
+    assert found["collisions_checked"] is True
+    assert found["collisions"].startswith(f"Collisions looked at: links, as rods of {found['link_radius_mm']} mm")
     assert {face["label"] for face in found["faces"]} == set(rows["plane"])
     for face in found["faces"]:
         centre, normal, size = (np.array(face[key]) for key in ("centre_mm", "normal", "size_mm"))
@@ -91,7 +95,8 @@ def test_nothing_goes_below_the_base_plane_and_each_face_is_told(folders, tmp_pa
         for text in (said, out.read_text(), sheet.read_text()):
             assert words in " ".join(text.split())
             assert told in " ".join(text.split())
-            assert "Collisions not checked" in text
+            assert "Collisions looked at: links, as rods of" in " ".join(text.split())
+            assert "what else stands around were not looked at" in " ".join(text.split())
 
 
 @pytest.mark.long
@@ -149,6 +154,41 @@ def test_links_that_were_looked_at_are_not_said_to_be_unchecked(folders, tmp_pat
     source = load_problem(folders["IRB 120"])
     made = plan(source.problem, clearance=Clearance(link_radius=40.0), touches=20, pool=60, starts=1)
     assert made.cell.faces == default_cell(source.problem).faces
+
+
+def test_links_that_were_not_looked_at_are_said_to_be_unchecked(folders, tmp_path, capsys):
+    out, robot = tmp_path / "plan.csv", load_problem(folders["UR5"]).problem.robot
+    asked = ["plan", str(folders["UR5"]), "--out", str(out), "--touches", "12", "--pool", "60", "--link-radius", "0"]
+    assert main([*asked, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["collisions_checked"] is False
+    assert found["collisions"].startswith(
+        "Collisions not checked: of the arm only joints, flange and tip are kept off the"
+    )
+    assert "Collisions not checked" in out.read_text()
+    odd = Robot(
+        "odd", joints=2, pose=lambda p, q: chain(translate_x(p.l * q[0] * q[1])), parameters={"l": Parameter(9.0)}
+    )
+    around = Clearance((((0.0, 10.0),) * 3,)).around(odd, Disturbances())
+    assert "only the tip is kept off the table, box 1; links (joints do not carry one another in order)" in around.words
+    tips = np.array([[5.0, 5.0, 5.0], [5.0, 5.0, 15.0], [5.0, 5.0, -1.0]])
+    assert around.clear(np.zeros((3, 2)), tips).tolist() == [False, True, False]
+    assert Clearance((), 0).around(robot, None).words.startswith("Collisions not checked: of the arm nothing")
+
+
+@pytest.mark.parametrize(("name", "low", "high"), [("UR5", 50, 65), ("UR10e", 65, 95), ("LBR iiwa 14", 58, 75)])
+def test_links_are_as_thick_as_their_makers_draw_them(folders, name, low, high):
+    around = Clearance().around(load_problem(folders[name]).problem.robot, None)
+    assert low <= around.radius <= high
+
+
+def test_what_is_in_the_way_is_named(folders):
+    """A wall across the arm's middle, behind which the plate lies: its forearm is in the way, and nothing else."""
+    source = load_problem(folders["UR5"])
+    wall = ((250.0, 260.0), (-2000.0, 2000.0), (-2000.0, 2000.0))
+    plate = Cell(faces=(Face("p", (600.0, 0.0, 50.0), (0, 0, 1), (100.0, 100.0)),))
+    with pytest.raises(CasacalError, match=r"Only 0 of 60 .* In the way: link \d against box 1 \(\d+%\)"):
+        plan(source.problem, plate, touches=20, pool=60, clearance=Clearance((wall,)))
 
 
 def test_the_tip_is_asked_as_well_as_the_joints_also_of_an_arm_that_is_no_chain(folders):
@@ -216,13 +256,91 @@ def test_a_plan_goes_into_a_pipe(folders, tmp_path):
 
 
 def test_links_stay_their_radius_above_the_table():
-    """As above a table that is higher by it, while the tip may touch down to the table itself."""
+    """As above a table that is higher by it, the slimmer wrist by half of it, while the tip may touch the table."""
     robot = load_problem(ROOT / "problems" / "ur5").problem.robot
     low, high = robot.limits
     joints = np.random.default_rng(0).uniform(low, high, size=(400, len(low)))
-    tips = np.tile([500.0, 0.0, 1000.0], (400, 1))
-    thick, higher, thin = (above_table(robot, *given)(joints, tips) for given in ((0, 60.0), (60.0, 0), (0, 0)))
-    np.testing.assert_array_equal(thick, higher)
-    assert thick.sum() < thin.sum()
-    tips[:, 2] = 10.0
-    np.testing.assert_array_equal(above_table(robot, 0, 60.0)(joints, tips), thick)
+    tips, arm = np.tile([500.0, 0.0, 1000.0], (400, 1)), BY_NAME["UR5"]
+    thick = Clearance(link_radius=60.0).around(robot, Disturbances())
+    origins = np.array([arm.origins(q)[:-1, 2] for q in np.degrees(joints)])  # the last is the flange
+    needed = np.array([-np.inf, 60.0, 60.0, 60.0, 30.0, 30.0])
+    for height in (1000.0, 10.0, -10.0):
+        tips[:, 2] = height
+        hit = np.any([each.rows for each in thick.collisions(joints, tips) if each.other == "the table"], axis=0)
+        np.testing.assert_array_equal(hit, (origins < needed).any(axis=1) | (height < 0))
+    assert above_table(robot, 0)(joints, np.add(tips, (0, 0, 100))).sum() > (origins >= needed).all(axis=1).sum()
+
+
+@pytest.mark.long_unless("hsr_jr680")
+@pytest.mark.parametrize("name", ["hsr_jr680", "UR10e"])
+def test_the_advice_of_a_gauge_block_holds_when_it_is_followed_to_the_letter(
+    folders, tmp_path, monkeypatch, capsys, name
+):
+    """The printed lines, typed as they stand: the plan, the touches of a simulated arm, the fit, and fresh rows."""
+    monkeypatch.chdir(tmp_path)
+    problem = folders[name] if name in folders else ROOT / "problems" / name
+    assert main(["plan", str(problem), "--pool", "1000", "--out", "p.csv"]) == 0
+    said = capsys.readouterr().out
+    before = float(re.search(r"Expect a tip error of ([0-9.]+) mm", said)[1])
+    assert "a gauge block of 100 mm" in said
+    advice = re.search(r"^To do so: casacal (.*)$", said, re.M)[1]
+    assert main(shlex.split(advice)) == 0
+    said = capsys.readouterr().out
+    promised = float(re.search(r"Expect a tip error of ([0-9.]+) mm", said)[1])
+    assert promised < 0.7 * before
+    block = f"{problem.name}_block"
+    assert f"Next: casacal measure {block} --plan p.csv" in said
+    made, drawn = load_problem(block), load_problem(problem)
+    step = made.problem.instrument.steps["block"]
+    assert (step.on, step.height) == (made.cell.faces[0].label, 100)
+    assert made.cell.faces[-1].centre[2] == pytest.approx(made.cell.faces[0].centre[2] + 100)
+    assert made.problem.robot.parameters["a"].values == drawn.problem.robot.parameters["a"].values
+    assert main(["simulate", block, "--plan", "p.csv", "--seed", "3", "--out", "s.csv"]) == 0
+    assert main(["calibrate", block, "s.csv", "--no-reference", "--out", "fit"]) == 0
+    capsys.readouterr()
+    assert main(["verify", "fit/result.json", "s_check.csv"]) == 0
+    assert "Promise kept" in capsys.readouterr().out
+    found = json.loads((tmp_path / "fit" / "result.json").read_text())
+    assert found["tip"]["expected_rms_mm"] < 0.8 * before
+    read = io.StringIO("4.0\nq\n")
+    monkeypatch.setattr("sys.stdin", read)
+    assert main(["measure", block, "--plan", "p.csv", "--out", "m.csv"]) == 0
+    assert "touch 1" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        (["--block", "0.1"], "The gauge block is 0.1 mm high. Give 1 to 1000 mm"),
+        (["--block", "nan"], "The gauge block is nan mm high"),
+        (["--instrument", "tracker", "--block", "100"], "no gauge block stands among what is measured here"),
+    ],
+)
+def test_a_block_that_cannot_be_is_refused_and_nothing_written(tmp_path, capsys, typed, said):
+    several = str(ROOT / "problems" / "ur5_three_instruments")
+    if typed[0] == "--block":
+        typed = ["--instrument", "dial", *typed]
+    assert main(["plan", several, "--touches", "12", "--pool", "60", "--out", str(tmp_path / "p.csv"), *typed]) == 2
+    assert said in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_one_of_several_instruments_may_have_a_block(tmp_path, capsys):
+    several = str(ROOT / "problems" / "ur5_three_instruments")
+    asked = [
+        "plan",
+        several,
+        "--instrument",
+        "dial",
+        "--touches",
+        "20",
+        "--pool",
+        "60",
+        "--out",
+        str(tmp_path / "p.csv"),
+    ]
+    assert main([*asked, "--block", "50"]) == 0
+    made = load_problem(tmp_path / "ur5_three_instruments_block").problem
+    assert 50 in [step.height for step in made.instrument.steps.values()]
+    said = capsys.readouterr().out
+    assert "--instrument" not in said.split("Next: ")[1]

@@ -126,7 +126,8 @@ def test_any_arm_is_planned_for(name):
     assert (found.samples.joints <= high).all()
     assert found.error < 0.9 * found.at_random
     assert found.best < found.error < found.before
-    assert [found.purposes.count(each) for each in (FIT, CHECK, AGAIN)] == [32, 6, 2]
+    check = 9 if name == "adept_cobra600" else 6  # two place each of its three faces, and one more may be lost
+    assert [found.purposes.count(each) for each in (FIT, CHECK, AGAIN)] == [38 - check, check, 2]
     assert found.purposes[-2:] == (AGAIN, AGAIN)
     rows = [tuple(row) for row in found.samples.joints]
     assert len(set(rows)) == 38
@@ -252,7 +253,7 @@ def test_the_command_line_plans(tmp_path, capsys):
     lines = out.read_text().splitlines()
     assert lines[0].endswith("not a measurement")
     assert [line.split(":")[0] for line in lines[3:7]] == [
-        "# Collisions not checked",
+        "# Collisions looked at",
         *(f"# Face {each}" for each in ("floor", "wall", "side")),
     ]
     assert lines[10] == "touch,purpose,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,expected_reading_mm,plane"
@@ -288,10 +289,10 @@ def test_a_plan_is_simulated_as_it_would_be_measured(tmp_path, capsys):
     said, problem = json.loads(out[out.index("{") :]), load_problem(HSR).problem
     fitted, kept = (problem.read(files[name]) for name in ("s", "s_check"))
     assert said["samples"] == len(fitted)
-    assert (said["left_out"], said["kept"]) == ([], 12)
-    assert len(fitted) == 38
+    assert (said["left_out"], said["kept"]) == ([], 15), "four place each face, and one may be lost"
+    assert len(fitted) == 35
     assert [Path(name).name for name in said["written"]] == ["s.csv", "s_check.csv", "s.truth.json"]
-    assert len(kept) == 12
+    assert len(kept) == 15
     assert set(kept.labels["plane"].names) == {"floor", "wall", "side"}
     assert min(len(rows) for rows in kept.labels["plane"].rows().values()) >= 4
     planned = read_route(files["plan"], problem.layout())

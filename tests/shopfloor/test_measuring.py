@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2, multivariate_normal
 
 from casacal import CasacalError, bind, lm, load_problem, plan
-from casacal.model.links import nodes_of
+from casacal.model.capsules import Skeleton
 from casacal.planning.candidates import Clearance
 from casacal.shopfloor import Session
 from casacal.shopfloor.conversation import ended
@@ -449,7 +449,10 @@ def test_the_very_first_touch_may_be_wrong(hsr, route, world):
     for number in range(1, 12):
         joints, reading, face = world.touch(number)
         for other in {"floor", "wall", "side"} - {face}:
-            session = Session(hsr.problem, route).take(joints, reading, other, number=number)
+            try:
+                session = Session(hsr.problem, route).take(joints, reading, other, number=number)
+            except CasacalError:  # the plunger lies along the face that was named, which is said at once
+                continue
             if session.alarm is None or route.purposes[number - 1] == "check":
                 continue
             assert session.alarm.touch == 0
@@ -506,12 +509,12 @@ def test_touches_beyond_the_plan_keep_clear(hsr, route, world):
     for number in range(26, 51):
         made = made.skip(number)
     free = made.next()
-    wrist = nodes_of(hsr.problem.robot, free.joints[None])[0, -1]
+    wrist = Skeleton.of(hsr.problem.robot).place(free.joints[None])[0, -1]
     box = tuple((float(value) - 60.0, float(value) + 60.0) for value in wrist)
     kept = Session(hsr.problem, route, tolerance=0.05, cell=hsr.cell, clearance=Clearance((box,))).resumed(made.touches)
     for number in range(26, 51):
         kept = kept.skip(number)
-    there = nodes_of(hsr.problem.robot, kept.next().joints[None])[0, -1]
+    there = Skeleton.of(hsr.problem.robot).place(kept.next().joints[None])[0, -1]
     assert free.number is None
     assert any(not low <= value <= high for value, (low, high) in zip(there, box, strict=True))
 
