@@ -142,6 +142,7 @@ def drawn_touch(problem: Problem, probe: Probe, samples: Samples) -> tuple[Touch
 
 
 LIBRARY = 2000  # random postures, of which those that keep clear are where touches are sought from
+PLACES_A_FACE = 4  # touches that say where a face is
 MOST_OF = 3  # pairs of a part and an obstacle that are named where hardly a touch keeps clear
 
 
@@ -162,6 +163,7 @@ def pool_of(
             raise SimulationError(what, "Say where the table is: --table Z, or Cell(..., table=Z)")
     around = (clearance or Clearance()).around(problem.robot, still)
     found, tried, in_way = list[Samples](), 0, dict[str, int]()
+    rare: tuple[str, int] | None = None
     probe, starts = problem.instrument.probe, _clear_postures(problem, around)
     if probe is not None and isinstance(still, Cell):
         refuse_cell(problem, probe, still)
@@ -182,13 +184,26 @@ def pool_of(
         if len(found) == ROUNDS or sum(map(len, found)) < RARE * tried:
             break
     else:
-        return reduce(joined, found).take(range(count))
+        pool = reduce(joined, found).take(range(count))
+        rare = _rare_face(pool, still, probe)
+        if rare is None:
+            return pool
     worst = sorted(in_way.items(), key=lambda each: -each[1])[:MOST_OF]
     named = ", ".join(f"{words} ({hits / tried:.0%})" for words, hits in worst if hits)
-    few = sum(map(len, found))
-    what = f"Only {few} of {tried} reachable touches keep clear above the table at z = {still.table:g} mm"
+    few, of_it = (sum(map(len, found)), "") if rare is None else (rare[1], f" of face '{rare[0]}'")
+    what = f"Only {few} of {tried} reachable touches{of_it} keep clear above the table at z = {still.table:g} mm"
     what += f". In the way: {named}"
     raise CasacalError(what, "Move the faces, make --keep-out or --link-radius smaller, or say where --table is")
+
+
+def _rare_face(pool: Samples, cell: Disturbances, probe: Probe | None) -> tuple[str, int] | None:
+    """A face that hardly any touch of a pool is on, and their number; None where each has enough, or of a small pool."""
+    if probe is None or probe.label is None or not isinstance(cell, Cell):
+        return None
+    rows, enough = pool.faces(probe.label).rows(), len(pool) >= 2 * PLACES_A_FACE * len(cell.faces)
+    counts = {face.label: len(rows.get(face.label, ())) for face in cell.faces}
+    label = min(counts, key=counts.__getitem__)
+    return (label, counts[label]) if enough and counts[label] < PLACES_A_FACE else None
 
 
 def _clear_postures(problem: Problem, around: Around) -> Array | None:

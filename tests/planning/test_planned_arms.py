@@ -191,6 +191,16 @@ def test_what_is_in_the_way_is_named(folders):
         plan(source.problem, plate, touches=20, pool=60, clearance=Clearance((wall,)))
 
 
+def test_a_face_that_hardly_any_touch_reaches_is_named(folders):
+    """A plate under a beam that only the fewest postures pass, beside one that stands free."""
+    source = load_problem(folders["UR5"])
+    beam = ((300.0, 900.0), (100.0, 700.0), (190.0, 220.0))
+    plates = (Face("free", (400.0, -300.0, 50.0), (0, 0, 1), (200.0, 200.0)),
+              Face("under", (550.0, 400.0, 50.0), (0, 0, 1), (200.0, 200.0)))  # fmt: skip
+    with pytest.raises(CasacalError, match=r"Only \d of \d+ reachable touches of face 'under' keep clear"):
+        plan(source.problem, Cell(faces=plates), touches=20, pool=60, clearance=Clearance((beam,)))
+
+
 def test_the_tip_is_asked_as_well_as_the_joints_also_of_an_arm_that_is_no_chain(folders):
     robot = load_problem(folders["UR5"]).problem.robot
     up, down = np.radians([[0, -90, 0, -90, 0, 0], [0, 60, 0, -90, 0, 0]])
@@ -301,7 +311,7 @@ def test_the_advice_of_a_gauge_block_holds_when_it_is_followed_to_the_letter(
     assert main(["verify", "fit/result.json", "s_check.csv"]) == 0
     assert "Promise kept" in capsys.readouterr().out
     found = json.loads((tmp_path / "fit" / "result.json").read_text())
-    assert found["tip"]["expected_rms_mm"] < 0.8 * before
+    assert found["tip"]["expected_rms_mm"] < before, "although a fit also doubts the noise and the dial's gain"
     read = io.StringIO("4.0\nq\n")
     monkeypatch.setattr("sys.stdin", read)
     assert main(["measure", block, "--plan", "p.csv", "--out", "m.csv"]) == 0
