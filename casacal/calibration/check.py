@@ -159,9 +159,7 @@ def check(problem: Problem, samples: Samples | Measurements, *, confirmed: bool 
             fix = f"Give Measurements of {', '.join(problem.names)}"
             raise CasacalError("The samples are not those of the problem's instruments", fix)
         return _in_order(_of_several(problem, samples, confirmed))
-    samples = Measurements.of(samples).sets[0]
-    lost = lost_targets(problem, samples)
-    samples = samples.take(np.flatnonzero(~np.isin(samples.lines, [line for each in lost for line in each.lines])))
+    lost, samples = lost_targets(problem, Measurements.of(samples).sets[0])
     findings = [*lost, *repeated(samples), *outside(problem, samples)]
     findings += [*absent_labels(problem, samples), *odd_labels(problem, samples), *lost_steps(problem, samples)]
     samples = without_copies(samples)  # as calibrate takes them
