@@ -44,18 +44,19 @@ def repeated(samples: Samples) -> list[Finding]:
     return [Finding("warning", "repeated rows", cause, fix, _lines(samples, again))]
 
 
-def lost_targets(problem: Problem, samples: Samples) -> list[Finding]:
-    """An error on rows in which a device tells no place: exact zeros, or numbers that nothing shows."""
+def lost_targets(problem: Problem, samples: Samples) -> tuple[list[Finding], Samples]:
+    """An error on rows in which a device tells no place, exact zeros or numbers that nothing shows; the other rows."""
     names = [name for name, kind in problem.instrument.columns.items() if kind == "length"]
     if not problem.instrument.words.accuracy or len(names) < 3:
-        return []
+        return [], samples
     places = np.column_stack([samples.columns[name] for name in names])
     lost = (places == 0).all(axis=1) | (np.abs(places) >= ABSURD).any(axis=1)
     if not lost.any() or 2 * lost.sum() > len(lost):
-        return []
+        return [], samples
     shown = " or ".join(dict.fromkeys(", ".join(f"{value:g}" for value in place) for place in places[lost]))
     cause = f"the device tells no place there ({shown[:60]}), as of a target that was lost"
-    return [Finding("error", "lost target", cause, "Remove these lines, or measure them again", _lines(samples, lost))]
+    fix = "Remove these lines, or measure them again"
+    return [Finding("error", "lost target", cause, fix, _lines(samples, lost))], samples.take(np.flatnonzero(~lost))
 
 
 def outside(problem: Problem, samples: Samples) -> list[Finding]:

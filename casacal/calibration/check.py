@@ -163,8 +163,7 @@ def check(problem: Problem, samples: Samples | Measurements, *, confirmed: bool 
 
 def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding]:
     """Findings on the samples of a problem's only instrument."""
-    lost = lost_targets(problem, samples)
-    samples = samples.take(np.flatnonzero(~np.isin(samples.lines, [line for each in lost for line in each.lines])))
+    lost, samples = lost_targets(problem, samples)
     findings = [*lost, *repeated(samples), *outside(problem, samples)]
     findings += [*absent_labels(problem, samples), *odd_labels(problem, samples), *lost_steps(problem, samples)]
     samples = without_copies(samples)  # as calibrate takes them

@@ -49,11 +49,11 @@ def test_what_is_wrong_beside_lost_targets_is_found_too(tracker):
 
 def test_zeros_that_are_measured_are_none(tracker):
     problem, samples = tracker
-    assert not lost_targets(problem, at(samples, np.arange(30), 0.0)), "most rows: this is another mistake"
+    assert not lost_targets(problem, at(samples, np.arange(30), 0.0))[0], "most rows: this is another mistake"
     columns = {**samples.columns, "x": np.where(np.arange(len(samples)) == 3, 0.0, samples.columns["x"])}
-    assert not lost_targets(problem, replace(samples, columns=columns)), "one coordinate may be zero"
+    assert not lost_targets(problem, replace(samples, columns=columns))[0], "one coordinate may be zero"
     plate = Problem(problem.robot, KnownPoint(points={"a": (0, 0, 0), "b": (9, 0, 0), "c": (0, 9, 0)}, noise_std=0.1))
-    assert not lost_targets(plate, samples), "what reads no places loses none"
+    assert lost_targets(plate, samples) == ([], samples), "what reads no places loses none"
 
 
 @pytest.mark.parametrize("cell", ["NaN", "", "-3.697314E+28"])
