@@ -16,9 +16,12 @@ from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from casacal.model.problem_file import ProblemFile
     from casacal.planning.candidates import Clearance
     from casacal.planning.plan import Plan
+    from casacal.planning.set_ups import SetUp
 
 HELP = "plan which touches to make"
 
@@ -58,10 +61,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Plan as the options say; returns 0."""
     from casacal.model.problem_file import load_problem
-    from casacal.planning.offers import STEP
     from casacal.planning.plan import cell_words, document, plan_sentences
     from casacal.planning.route import FIT, touches_needed
-    from casacal.planning.set_ups import GAUGE_BLOCK, POOL, SetUp, set_ups, worth_most
+    from casacal.planning.set_ups import POOL, SetUp, set_ups
 
     if options.touches is not None and options.tolerance is not None:
         raise CasacalError("Got --touches and --tolerance", "Give one of them")
@@ -98,18 +100,26 @@ def run(options: argparse.Namespace) -> int:
         say_json({**document(found, source.problem, compared, written, clearance), "warnings": warned})
         return DONE
     there = "inside the box" if options.box else "over the workspace" if options.targets is None else "at the targets"
-    said = plan_sentences(found, compared, where=there, pool=options.pool, after=later, every=options.setups)
-    say_paragraphs(*cell_words(found, source.problem, clearance), *said)
+    say_paragraphs(*cell_words(found, source.problem, clearance))
+    say_paragraphs(*plan_sentences(found, compared, where=there, pool=options.pool, after=later, every=options.setups))
     say_paragraphs(*(f"warning: {each}" for each in warned), *(f"Written: {place}" for place in written))
-    if compared and (best := worth_most(compared)) is not None and GAUGE_BLOCK in best[0].words:
-        say_paragraphs(f"To do so: {options.typed} --block={STEP:g}")
-    named = [] if options.instrument is None or texts else [f"--instrument={options.instrument}"]
+    say_paragraphs(*_following(options, compared, place, of_one=bool(texts)))
+    return DONE
+
+
+def _following(options: argparse.Namespace, compared: Sequence[SetUp], place: Path, *, of_one: bool) -> list[str]:
+    """What to type next: the plan with a gauge block where that is worth most, and `casacal measure`."""
+    from casacal.planning.offers import STEP
+    from casacal.planning.set_ups import GAUGE_BLOCK, worth_most
+
+    best = worth_most(compared) if compared else None
+    advised = best is not None and GAUGE_BLOCK in best[0].words
+    named = [] if options.instrument is None or of_one else [f"--instrument={options.instrument}"]
     numbers = {"--table": options.table, "--link-radius": options.link_radius}
     named += [f"{name}={value:g}" for name, value in numbers.items() if value is not None]
     named += [f"--keep-out={box}" for box in options.keep_out]
     command = shlex.join(["casacal", "measure", place.as_posix(), *named, "--plan", options.out, "--out"])
-    say_paragraphs(f"Next: {command} SAMPLES")
-    return DONE
+    return [*([f"To do so: {options.typed} --block={STEP:g}"] if advised else []), f"Next: {command} SAMPLES"]
 
 
 def _with_block(source: ProblemFile, options: argparse.Namespace) -> tuple[ProblemFile, Path, dict[Path, str]]:

@@ -197,7 +197,7 @@ def pool_of(
 
 
 def _rare_face(pool: Samples, cell: Disturbances, probe: Probe | None) -> tuple[str, int] | None:
-    """A face that hardly any touch is on, and their number; None where each has enough, or of a small pool."""
+    """A face that hardly a touch is on, and their number; None where each has enough, or the pool is small."""
     if probe is None or probe.label is None or not isinstance(cell, Cell):
         return None
     rows, enough = pool.faces(probe.label).rows(), len(pool) >= 2 * PLACES_A_FACE * len(cell.faces)

@@ -141,7 +141,8 @@ class CellDrawing:
         round_ends = {"stroke-linecap": "round", "stroke-linejoin": "round"}
         drawn = [self._path(part, top, colour, 2 * radius * self._scale, round_ends) for part, colour, radius in shapes]
         (across,), (down,) = self._seen(places[-1:], top)
-        return [*drawn, tag("circle", at={"cx": number(across), "cy": number(down), "r": "3.5", "fill": TIP})]
+        dot = {"d": f"M{number(across)} {number(down)}h.1", "stroke": TIP, "stroke-width": "7", **round_ends}
+        return [*drawn, tag("path", at=dot)]
 
     def _names(self, top: int) -> list[Markup]:
         names = []

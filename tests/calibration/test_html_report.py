@@ -92,7 +92,7 @@ def test_the_page_is_valid_and_refers_to_nothing(page):
     read = assert_valid(page)
     assert [attributes["lang"] for attributes, _ in read.all("html")] == ["en"]
     assert len(read.all("h1")) == 1
-    assert len(read.all("svg")) == 2 + 2 + 3 + 4 + 3
+    assert len(read.all("svg")) == 2 + 2 + 2 + 3 + 4 + 3, "the cell, histograms, rows, faces, maps, keys"
 
 
 def test_the_validator_finds_faults():
