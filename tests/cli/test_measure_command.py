@@ -36,7 +36,7 @@ PLAIN = gauge("plain")
 def planned(hsr, tmp_path_factory):
     """A plan of 36 touches on disk, and the arm that answers."""
     folder = tmp_path_factory.mktemp("plan")
-    made = plan(hsr.problem, hsr.cell, touches=36, pool=300, starts=1, seed=4)
+    made = plan(hsr.problem, hsr.cell, touches=36, pool=300, starts=1, seed=12)
     write_plan(folder / "plan.csv", made, hsr.problem, hsr.name)
     route = read_route(folder / "plan.csv", hsr.problem.layout())
     return folder / "plan.csv", route, World(hsr.problem, route, seed=6)
@@ -44,7 +44,7 @@ def planned(hsr, tmp_path_factory):
 
 def test_a_plan_is_read_as_it_was_written(hsr, planned, tmp_path):
     path, route, _ = planned
-    made = plan(hsr.problem, hsr.cell, touches=36, pool=300, starts=1, seed=4)
+    made = plan(hsr.problem, hsr.cell, touches=36, pool=300, starts=1, seed=12)
     assert route.purposes == made.purposes
     assert route.samples.joints == pytest.approx(made.samples.joints, abs=1e-6)
     assert route.samples.columns["reading"] == pytest.approx(made.samples.columns["reading"], abs=1e-4)
