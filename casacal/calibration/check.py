@@ -128,7 +128,7 @@ MOST_ROWS = 600  # rows used to look for systematic faults; more add time, not i
 OF_A_FACE = 12  # rows of a face, where faces are many, that tell of systematic faults
 SPREAD = 20_000  # rows that tell of the set-up and of what the prior explains; more add memory, not insight
 
-MOST_STRAY = 0.1  # part of the rows beyond which those far off their face are no single rows: all are judged
+MOST_STRAY = 0.1  # part of the rows beyond which those far off their face are no single rows if the others do not fit
 
 OF_TWO = 3.0
 """Times what prior errors explain by which the drawn arm must miss before two mistakes at once are looked for."""
@@ -176,10 +176,12 @@ def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding
     if wrong := [*in_metres(problem, samples), *upside_down(some, scatter)]:
         return [*wrong, *findings]
     bad, stray = off_their_face(bound, scatter)
-    many = bad.sum() > MOST_STRAY * len(samples)
-    good = samples.take(np.flatnonzero(~bad)) if bad.any() and not many else samples
+    good = samples.take(np.flatnonzero(~bad)) if bad.any() else samples
     few = _few_of_each_face(problem, good)
     base = misfit(problem, few)
+    if base > SUSPICIOUS and bad.sum() > MOST_STRAY * len(samples):
+        good, few = samples, _few_of_each_face(problem, samples)
+        base = misfit(problem, few)
     gross = float(np.sqrt((some.plain_residual(some.x0) ** 2).mean())) > OF_TWO * scatter
     cause = explained(problem, few, base, gross=gross, whole=samples) if base > SUSPICIOUS else None
     moved = cause is not None and cause.finding.about == MOVED  # what a joint that slipped looks like, and labels
