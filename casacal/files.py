@@ -31,6 +31,7 @@ MADE = f"written by casacal {__version__}"
 BY, LOOKED_AT = "written_by", 8192
 MARKS = re.compile(
     rb"(?m)^[ \t]*(?:#|[!;*]|//|<!--) ?(?:[^\n]*[ (])?written by casacal (?:\d|compensate:|demo|study|bench|for )"
+    rb'|\A"""[^\n]*; written by casacal \d'
     rb"|^[ \t]*[#!;] (?:planned|simulated) by casacal "
     rb'|\A\s*\{\s*"written_by": "casacal |<meta name="generator" content="written by casacal">'
     rb"|\A\x89PNG[^\n]*\n[\s\S]*Software\x00casacal "

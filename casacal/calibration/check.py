@@ -28,7 +28,7 @@ from casacal.calibration.before_fit import (
 )
 from casacal.calibration.faults import ALIKE, EXPLAINED, MOVED, SUSPICIOUS, MisfitCause, cause_of_rows, explained, flips
 from casacal.calibration.finding import Finding, misfit, quick_fit
-from casacal.calibration.midway import SOMETHING, STUCK, changed_midway
+from casacal.calibration.midway import STUCK, changed_midway, labels_exchanged
 from casacal.calibration.mirror import mirror_image
 from casacal.calibration.numbers import (
     tool_elsewhere_at,
@@ -184,9 +184,10 @@ def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding
         base = misfit(problem, few)
     gross = float(np.sqrt((some.plain_residual(some.x0) ** 2).mean())) > OF_TWO * scatter
     cause = explained(problem, few, base, gross=gross, whole=samples) if base > SUSPICIOUS else None
-    moved = cause is not None and cause.finding.about == MOVED  # what a joint that slipped looks like, and labels
-    midway = changed_midway(problem, few) if base > SUSPICIOUS and (cause is None or moved) else None
-    if midway is not None and not (moved and midway.about.startswith(SOMETHING)):
+    midway = changed_midway(problem, few) if base > SUSPICIOUS and cause is None else None
+    if cause is not None and cause.finding.about == MOVED:  # what exchanged labels look like
+        midway = labels_exchanged(problem, few, cause.undone.samples)
+    if midway is not None:
         return [midway, *findings]
     if cause is not None:  # it also explains single rows that lie off
         findings = _with_cause(findings, cause, some, few)
@@ -275,9 +276,16 @@ def _unexplained(problem: Problem, samples: Samples, base: float, findings: list
     if base > EXPLAINED:  # more than any arm errs
         fix = "Check labels, columns and DH table; casacal doctor compares the table with poses on the pendant"
         probe = problem.instrument.probe
-        if probe is not None and probe.column is not None:
+        if probe is not None and probe.column is not None and _better_turned(problem, samples, base):
             fix = f"Try the dial's sign first (--set sign={-probe.sign}). {fix}. Do not delete rows"
     return Finding("error", "misfit", cause, fix)
+
+
+def _better_turned(problem: Problem, samples: Samples, base: float) -> bool:
+    """Whether the dial's other sign leaves a smaller misfit: what is wrong beside it then shows."""
+    probe = problem.instrument.probe
+    assert probe is not None
+    return misfit(problem.with_settings({"sign": -probe.sign}), _few_of_each_face(problem, samples)) < base
 
 
 def _tried(problem: Problem) -> list[str]:

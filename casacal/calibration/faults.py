@@ -28,14 +28,15 @@ from casacal.calibration.set_aside import robust_fit, studentised_outliers
 from casacal.data.columns import Labels
 from casacal.data.samples import Samples
 from casacal.errors import CasacalError
-from casacal.fit.bound_problem import bind
+from casacal.fit.bound_problem import BoundProblem, bind
+from casacal.fit.least_squares import Result
 from casacal.fit.slots import ENOUGH
 from casacal.model.instrument import ANGLE_UNITS, UNIT_MISTAKES, Suspect, readings_within
 from casacal.model.joints import Conventions
 from casacal.model.problem import Problem
 from casacal.model.problem_text import conventions_line
 from casacal.model.robot import Robot
-from casacal.values import Array, Rows
+from casacal.values import Array, Index, Rows
 from casacal.wording import numbered_lines, times
 
 MOVED = "something moved"
@@ -155,16 +156,73 @@ def _less_shifts(samples: Samples, *sizes: float, column: str, places: Sequence[
 
 def _where_shifted(problem: Problem, rows: Samples, column: str) -> int | None:
     """The row from which a shift of the readings lowers chi-square most; None where there is no fit to judge by."""
-    fitted, count = quick_fit(problem, rows), len(rows)
-    if fitted is None or not 2 * FEWEST < count <= ENOUGH:
+    fitted = quick_fit(problem, rows)
+    if fitted is None or not 2 * FEWEST < len(rows) <= ENOUGH:
         return None
-    bound, result = fitted
-    here, places = bound.residual(result.x), np.arange(FEWEST, count - FEWEST)
-    slope = (bound.on(_less_shifts(rows, SMALL, column=column, places=[0])).residual(result.x) - here) / SMALL
+    return _best_place(*fitted, _less_shifts(rows, SMALL, column=column, places=[0]))[1]
+
+
+def _best_place(bound: BoundProblem, result: Result, shifted: Samples) -> tuple[float, int]:
+    """By how much chi-square falls, and the row, where a shift from there on lowers it most.
+
+    shifted: all rows with that shift, of size `SMALL`.
+    """
+    here, places = bound.residual(result.x), np.arange(FEWEST, len(shifted) - FEWEST)
+    slope = (bound.on(shifted).residual(result.x) - here) / SMALL
     later = bound.sample_of[:, None] >= places
     ways = freed_of_unknowns(bound, result, later * slope[:, None])
     gains = (ways.T @ weighted(bound, result, here)) ** 2 / np.maximum((ways**2).sum(axis=0), 1e-300)
-    return int(places[np.argmax(gains)])
+    return float(gains.max()), int(places[np.argmax(gains)])
+
+
+def joint_slipped(problem: Problem, samples: Samples) -> Undone:
+    """A joint's angles less a shift from some row on, as where its encoder slipped: where that gains most."""
+    fitted, turning = quick_fit(problem, samples), np.flatnonzero(problem.robot.revolute).tolist()
+    if fitted is None or not turning or not 2 * FEWEST < len(samples) <= ENOUGH:
+        return Undone(problem, samples)
+    tried = [(*_best_place(*fitted, _turned_back(samples, -SMALL, joint=i, place=0)), i) for i in turning]
+    _, place, joint = max(tried)
+    size = 0.0
+    for _ in range(2):  # the place anew once the size is known
+        (size,) = fitted_sizes(problem, samples, partial(_turned_back, joint=joint, place=place))
+        undone = quick_fit(problem, _turned_back(samples, size, joint=joint, place=place))
+        if undone is None:
+            return Undone(problem, samples)
+        both = (undone[0].on(rows) for rows in (samples, _turned_back(samples, size, joint=joint, place=0)))
+        before, after = (each.largest(np.abs(each.residual(undone[1].x))) for each in both)
+        costs = np.cumsum(before**2) - before**2 + np.cumsum((after**2)[::-1])[::-1]
+        place = int(np.argmin(costs[FEWEST : len(samples) - FEWEST])) + FEWEST
+    said = f": joint {joint + 1}, near line {samples.lines[place]}, by {math.degrees(size):+.3g} degrees"
+    return Undone(problem, _turned_back(samples, size, joint=joint, place=place), said)
+
+
+def _turned_back(samples: Samples, size: float, *, joint: int, place: int) -> Samples:
+    """Rows with a joint's angle less by so much from a place on."""
+    joints = samples.joints.copy()
+    joints[place:, joint] -= size
+    return replace(samples, joints=joints)
+
+
+HANGS = 6  # rows one after another in which a joint that moves elsewhere shows one value, before it is said to hang
+
+
+def _hanging(samples: Samples) -> Iterator[Fault]:
+    """Joints that show one and the same value over many rows, as of an encoder or a recorder that hangs."""
+    for i, values in enumerate(samples.joints.T):
+        starts = np.flatnonzero(np.concatenate([[True], np.diff(values) != 0]))
+        runs = np.diff([*starts, len(values)])
+        still = np.repeat(runs >= HANGS, runs)
+        still[starts] = False  # the first may be right
+        if not still.any() or len(starts) == 1:
+            continue
+        lines = numbered_lines([samples.lines[k] for k in np.flatnonzero(still).tolist()])
+        cause = f"joint {i + 1} shows one and the same value up to {lines}, as of an encoder or a recorder that hangs"
+        kept, fix = np.flatnonzero(~still), "Measure these rows again"
+        yield Fault(f"joint {i + 1} stuck", cause, fix, partial(_only, kept=kept), 1, common=False)
+
+
+def _only(problem: Problem, samples: Samples, *, kept: Index) -> Undone:
+    return Undone(problem, samples.take(kept))
 
 
 def _relabelled(problem: Problem, samples: Samples, place: int) -> Samples | None:
@@ -343,6 +401,9 @@ def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
         fix += "" if probe.zero else ", and declare zero_shift=dial_zero() for the dial"
         cause = "the dial seems to have been set to zero anew, or to have slipped in its clamp"
         yield Fault("dial set to zero anew", cause, fix, partial(zero_moved, column=probe.column), 2, False)
+    fix = "Master that joint, and measure the later rows again"
+    yield Fault("joint slipped", "the encoder of a joint seems to have slipped", fix, joint_slipped, 2, False)
+    yield from _hanging(samples)
     if problem.instrument.groups is not None:
         fix = "Fasten base, tool and faces, and measure again, or give the faces other labels from there on"
         yield Fault(MOVED, "base, tool or faces seem to have moved", fix, somewhere_moved, 9, False)
@@ -539,10 +600,11 @@ def explained(
 
 
 def cause_of_rows(problem: Problem, samples: Samples, off: Rows) -> Finding | None:
-    """What some rows that lie off (N,) have in common, with which undone none does: a slip by a row, or their unit."""
+    """What rows that lie off (N,) have in common: a slip by a row, their unit, or a joint that hangs."""
     tail = off.sum() >= FEW_OFF and off[int(np.argmax(off)) :].mean() >= MOSTLY
     nothing = _Attempt((), Undone(problem, samples), 0.0)
-    for fault in chain(pairings(samples) if tail else (), _some_radians(problem, samples) if off.any() else ()):
+    rows = chain(_some_radians(problem, samples), _hanging(samples)) if off.any() else ()
+    for fault in chain(pairings(samples) if tail else (), rows):
         for tried in _one(fault, nothing):
             fitted = robust_fit(bind(problem, tried.undone.samples))
             if tried.size <= SUSPICIOUS and (fitted is None or not studentised_outliers(*fitted).rows):

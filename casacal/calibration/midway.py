@@ -1,20 +1,18 @@
 """Rows that fit up to some line and not beyond it: at which line, and what seems to have changed there.
 
-A joint whose encoder slipped, labels exchanged from some row on, a dial turned round, a value that a recorder repeats:
-each part may fit by itself, and no mistake made in all rows explains them.
+Labels exchanged from some row on, a dial turned round, columns swapped: each part may fit by itself, and no mistake
+made in all rows explains them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 from itertools import combinations
 
 import numpy as np
 
-from casacal.calibration.faults import MOST_FACES, SUSPICIOUS, explained, fitted_sizes
+from casacal.calibration.faults import MOST_FACES, SUSPICIOUS, explained
 from casacal.calibration.finding import Finding, misfit
 from casacal.data.columns import Labels
 from casacal.data.samples import Samples, joined
@@ -98,15 +96,9 @@ def _surprising(problem: Problem, good: Samples, rest: Samples) -> bool:
 
 def _what_changed(problem: Problem, good: Samples, rest: Samples) -> tuple[str, str, str]:
     """Name, cause and cure of what is otherwise in some rows than in the good ones."""
-    for i in np.flatnonzero(np.ptp(rest.joints, axis=0) < STUCK).tolist():
-        if np.ptp(good.joints[:, i]) > STUCK:
-            cause = f"joint {i + 1} shows one and the same value, as of an encoder or a recorder that hangs"
-            return f"joint {i + 1} stuck", cause, "Measure these rows again"
-    base, tried = misfit(problem, rest), list[tuple[float, str, str, str]]()
-    for about, change, cause, fix in _changes(problem, good, rest):
-        tried.append((misfit(problem, change), about, cause, fix))
-    if tried and (best := min(tried))[0] <= SUSPICIOUS:
-        return best[1:]
+    base = misfit(problem, rest)
+    if (named := _exchanged(problem, good, rest)) is not None:
+        return named
     if base > SUSPICIOUS and (own := explained(problem, rest, base, whole=rest)) is not None:
         return own.finding.about, own.finding.cause, f"Mend these rows alone: {own.finding.fix}"
     cause = (
@@ -118,14 +110,26 @@ def _what_changed(problem: Problem, good: Samples, rest: Samples) -> tuple[str, 
     return SOMETHING, cause, fix
 
 
-def _changes(problem: Problem, good: Samples, rest: Samples) -> Iterator[tuple[str, Samples, str, str]]:
-    """Name, all rows with it undone, cause and cure of what may be otherwise in some rows alone."""
-    for i in np.flatnonzero(problem.robot.revolute).tolist():
-        undone: Callable[..., Samples] = partial(_slipped_back, good, rest, joint=i)
-        (size,) = fitted_sizes(problem, joined(good, rest), lambda _, by, undone=undone: undone(by))
-        if size:
-            cause = f"joint {i + 1} seems to have slipped by {math.degrees(size):+.3g} degrees"
-            yield f"joint {i + 1} slipped", undone(size), cause, "Master that joint, and measure again"
+def labels_exchanged(problem: Problem, samples: Samples, moved: Samples) -> Finding | None:
+    """An error where faces only seem to have moved, as two labels were exchanged from some row on; else None.
+
+    moved: the rows with the faces named otherwise from there on.
+    """
+    column = problem.instrument.groups
+    later = np.flatnonzero(moved.faces(column).codes >= len(samples.faces(column).names))
+    if not later.size:
+        return None
+    good, rest = samples.take(range(int(later[0]))), samples.take(range(int(later[0]), len(samples)))
+    named = _exchanged(problem, good, rest)
+    if named is None:
+        return None
+    about, cause, fix = named
+    where = f"from line {rest.lines[0]} on"
+    return Finding("error", f"{about} {where}", f"{where} {cause}", fix)
+
+
+def _exchanged(problem: Problem, good: Samples, rest: Samples) -> tuple[str, str, str] | None:
+    """Name, cause and cure of two labels that are exchanged in some rows alone; None where none are."""
     column = problem.instrument.groups
     names = () if column is None else rest.faces(column).names
     for one, two in combinations(range(len(names)), 2) if len(names) <= MOST_FACES else ():
@@ -133,12 +137,7 @@ def _changes(problem: Problem, good: Samples, rest: Samples) -> Iterator[tuple[s
         codes = labels.codes.copy()
         codes[labels.codes == one], codes[labels.codes == two] = two, one
         mended = replace(rest, labels={**rest.labels, column or "": Labels(names, codes)})
-        cause = f"'{names[one]}' and '{names[two]}' seem to be exchanged"
-        yield "labels exchanged", joined(good, mended), cause, "Correct the labels there"
-
-
-def _slipped_back(good: Samples, rest: Samples, by: float, *, joint: int) -> Samples:
-    """All rows with a joint's angle in some of them less by so much."""
-    joints = rest.joints.copy()
-    joints[:, joint] -= by
-    return joined(good, replace(rest, joints=joints))
+        if misfit(problem, joined(good, mended)) <= SUSPICIOUS:
+            cause = f"'{names[one]}' and '{names[two]}' seem to be exchanged"
+            return "labels exchanged", cause, "Correct the labels there"
+    return None

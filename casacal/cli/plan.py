@@ -129,6 +129,10 @@ def _with_block(source: ProblemFile, options: argparse.Namespace) -> tuple[Probl
     from casacal.simulation.cell import Cell
 
     Answers(block=options.block)
+    faces = source.cell.faces if isinstance(source.cell, Cell) else ()
+    if there := [face.label for face in faces if face.label.startswith("block")]:
+        what = f"Got --block, and '{there[0]}' is a gauge block of this problem already"
+        raise CasacalError(what, "Leave --block out, or plan for the problem without it")
     blocked = with_block(source.problem, source.cell, options.block) if isinstance(source.cell, Cell) else None
     if blocked is None:
         raise CasacalError("Got --block, and no gauge block stands among what is measured here", "Leave it out")

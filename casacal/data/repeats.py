@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -75,9 +76,11 @@ def standstills(samples: Samples) -> Index:
     codes = np.column_stack([np.zeros(count), *(labels.codes for labels in samples.labels.values())])
     begins = [0]
     moved = (np.abs(np.diff(samples.joints, axis=0)) > AT_REST).any(axis=1) | (np.diff(codes, axis=0) != 0).any(axis=1)
+    purposes = samples.extra.get("purpose", ("",) * count)
+    moved |= np.array([one != two for one, two in itertools.pairwise(purposes)], dtype=bool)
     begins += (np.flatnonzero(moved) + 1).tolist()
     sizes = np.diff([*begins, count])
-    recorded = "purpose" not in samples.extra and 2 * sizes[sizes >= RECORDED].sum() > count
+    recorded = set(purposes) != {"again"} and 2 * sizes[sizes >= RECORDED].sum() > count
     return np.repeat(np.arange(len(sizes)), sizes) if recorded else np.arange(count)
 
 

@@ -18,6 +18,7 @@ from casacal.values import Array
 HIGH, EDGE = 200.0, 6.0  # units of a picture: its height, its margin
 WIDEST = 300.0  # of one view
 ARM, WRIST, TIP, FACE, BOX, GROUND = "#7fa6c9", "#4f81ad", "#c2560c", "#d9a441", "#b05c5c", "#8a93a0"
+DOTS = 400  # tips that an overview shows
 NAMED = 18  # letters of a face's name
 
 
@@ -55,10 +56,11 @@ class CellDrawing:
         return together(*(self._view(top, {"aria-label": "posture"}, still[top], *self._arm(k, top)) for top in (0, 1)))
 
     def overview(self) -> tuple[Markup, Markup]:
-        """The first posture, all tips, and the names of the faces, from both sides."""
-        views = []
+        """The first posture, tips (some of many), and the names of the faces, from both sides."""
+        views, count = [], len(self.arms)
+        some = np.unique(np.linspace(0, count - 1, min(count, DOTS)).astype(np.intp))
         for top, words in enumerate(("the cell from the side", "the cell from above")):
-            across, down = self._seen(self.arms[:, -1], top)
+            across, down = self._seen(self.arms[some, -1], top)
             dots = "".join(f"M{number(a)} {number(b)}h.1" for a, b in zip(across, down, strict=True))
             at = {"d": dots, "stroke": TIP, "stroke-width": "2.5", "stroke-linecap": "round"}
             title = tag("title", words, at={"id": f"overview-{top}"})

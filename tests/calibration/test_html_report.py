@@ -300,7 +300,7 @@ def test_one_plane_without_labels_and_without_any_prior_is_unbounded(hsr, corner
     keep = [i for i, label in enumerate(few.labels["plane"]) if label == "floor"]
     samples = few.take(keep)
     samples = Samples(samples.joints, samples.columns, {}, samples.lines, {}, samples.file, samples.sha256)
-    flat = problem.with_prior({"a": math.inf, "d": math.inf, "theta": math.inf})
+    flat = problem.with_prior({"d": math.inf, "theta": math.inf})
     read = assert_valid(of(calibrate(flat, samples, method="lm", reference=False), hsr))
     (said,) = read.by_class("verdict")[:1]
     assert said.startswith("Do not use this result: neither the samples nor a prior hold 4 combinations of parameters")

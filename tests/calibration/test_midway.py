@@ -1,6 +1,7 @@
 """Something that changed while the rows were taken: the data check names the line, and what was changed."""
 
 import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
@@ -26,10 +27,6 @@ def with_joints(samples, change):
     return dataclasses.replace(samples, joints=joints)
 
 
-def stuck(joints):
-    joints[PLACE:, 1] = joints[PLACE, 1]
-
-
 def slipped(joints):
     joints[PLACE:, 1] += np.radians(0.5)
 
@@ -45,8 +42,6 @@ def swapped_at_first(joints):
 @pytest.mark.parametrize(
     ("change", "about", "near"),
     [
-        (stuck, "joint 2 stuck from line ", PLACE),
-        (slipped, "joint 2 slipped from line ", PLACE),
         (swapped, "joints 1 and 2 swapped from line ", PLACE),
         (swapped_at_first, "joints 1 and 2 swapped up to line ", PLACE - 1),
     ],
@@ -58,8 +53,29 @@ def test_what_happened_to_joints_is_named_with_its_line(touched, change, about, 
     assert found.about.startswith(about)
     line = int(found.about.removeprefix(about).removesuffix(" on"))
     assert abs(wrong.lines.index(line) - near) <= 1  # the first row may fit by chance
-    if change is slipped:
-        assert float(found.cause.partition("slipped by ")[2].split(" degrees")[0]) == pytest.approx(0.5, abs=0.03)
+
+
+def test_an_encoder_that_slipped_is_named_with_its_joint_its_line_and_its_size(touched):
+    problem, samples = touched
+    (error,) = (each for each in check(problem, with_joints(samples, slipped)) if each.severity == "error")
+    assert error.about == "joint slipped"
+    joint, line, size = re.search(r": joint (\d), near line (\d+), by ([+-][\d.]+) degrees", error.cause).groups()
+    assert joint == "2"
+    assert abs(samples.lines.index(int(line)) - PLACE) <= 1
+    assert float(size) == pytest.approx(0.5, abs=0.03)
+
+
+@pytest.mark.parametrize("rows", [slice(PLACE, None), slice(20, 41)])
+def test_a_joint_that_hangs_is_named_with_its_rows(touched, rows):
+    problem, samples = touched
+
+    def stuck(joints):
+        joints[rows, 1] = joints[rows, 1][0]
+
+    (error, *_) = check(problem, with_joints(samples, stuck))
+    assert error.about == "joint 2 stuck"
+    first = samples.lines[rows.start + 1]  # the first may be right
+    assert f"the same value up to lines {first}, " in error.cause
 
 
 def test_exchanged_labels_and_a_turned_dial_are_named_by_check(touched):

@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from conftest import ROOT
 
 from casacal import Cell, calibrate, load, load_problem, simulate, verify
 from casacal.cli.main import main
@@ -181,3 +182,27 @@ def test_the_block_is_carried_from_the_plan_to_the_verification(made, tmp_path, 
     fitted.save(tmp_path / "fit")
     fresh = verify(load(tmp_path / "fit"), there.samples.take(np.arange(80, 110)))
     assert fresh.kept
+
+
+def test_a_plan_with_a_block_may_be_made_again_and_takes_no_second_block(tmp_path, capsys):
+    """What casacal wrote it may write again; an edited file of somebody else stays."""
+    where = str(ROOT / "problems" / "hsr_jr680")
+    plan = ["plan", where, "--pool", "150", "--touches", "40", "--out", str(tmp_path / "p.csv")]
+        "plan",
+        str(ROOT / "problems" / "hsr_jr680"),
+        "--pool",
+        "150",
+        "--touches",
+        "40",
+        "--out",
+        str(tmp_path / "p.csv"),
+    ]
+    for height in ("100", "80"):
+        assert main([*plan, "--block", height]) == 0
+    made = tmp_path / "hsr_jr680_block"
+    assert "--block 80" in (made / "problem.py").read_text()
+    assert main(["plan", str(made), *plan[2:], "--block", "50"]) == 2
+    assert "'block' is a gauge block of this problem already" in capsys.readouterr().err
+    (made / "problem.py").write_text("# mine\n")
+    assert main([*plan, "--block", "100"]) == 2
+    assert "was not written by casacal" in capsys.readouterr().err

@@ -68,6 +68,8 @@ def test_touches_that_a_hand_repeats_stay():
     assert once_each(one) is one
     again = replace(recorded(samples, 0.01), extra={"purpose": ("again",) * (LINES * len(samples))})
     assert once_each(again) is again
+    planned = replace(again, extra={"purpose": ("fit",) * (20 * LINES) + ("again",) * (LINES * (len(samples) - 20))})
+    assert len(once_each(planned)) == len(samples), "a plan's purposes do not keep a recorder from being one"
 
 
 def test_another_label_is_another_standstill():

@@ -254,8 +254,9 @@ def test_what_rows_do_not_see_stays_within_the_workspace():
 
 
 @pytest.mark.long
-def test_rows_of_one_posture_end_in_a_verdict(hsr):
+def test_rows_of_one_posture_count_once_and_are_too_few(hsr):
     rows = simulate(Problem(hsr.problem.robot, Wire()), samples=3, seed=8).samples.take(np.zeros(40, dtype=int))
     read = rows.columns["wire"] + np.random.default_rng(0).normal(size=40) * 0.05
     rows = replace(rows, columns={"wire": read})
-    assert not calibrate(Problem(hsr.problem.robot, BlindWire()), rows, reference=False).passed
+    with pytest.raises(ProblemError, match="'zero' has 1 row for 1 unknown of its own"):
+        calibrate(Problem(hsr.problem.robot, BlindWire()), rows, reference=False)

@@ -117,7 +117,7 @@ def slipped(kind, joints, reading, face):
     if kind == "joints swapped":
         other[[1, 2]] = other[[2, 1]]
     if kind == "joint":
-        other[1] += math.radians(3.0)
+        other[0 if face == "side" else 1] += math.radians(3.0)  # joint 2 moves the tip along that face
     return other, reading, face
 
 
