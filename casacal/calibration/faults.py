@@ -402,7 +402,7 @@ def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
         cause = "the dial seems to have been set to zero anew, or to have slipped in its clamp"
         yield Fault("dial set to zero anew", cause, fix, partial(zero_moved, column=probe.column), 2, False)
     fix = "Master that joint, and measure the later rows again"
-    yield Fault("joint slipped", "the encoder of a joint seems to have slipped", fix, joint_slipped, 2, False)
+    yield Fault("joint slipped", "the encoder of a joint seems to have slipped", fix, joint_slipped, 8, False)
     yield from _hanging(samples)
     if problem.instrument.groups is not None:
         fix = "Fasten base, tool and faces, and measure again, or give the faces other labels from there on"

@@ -148,7 +148,9 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
             f"what the correction {'removes' if denial is None else 'changes'} there: "
             f"{_figures(compensation.correction_mm[reached], 'mm')}",
         ]
-    if reached.any() and denial is None:
+    if compensation.frame == "flange" and math.isnan(result.found.tip.flange_expected_mm) and denial is None:
+        lines.append("the error of the flange is not known, see the verdict: --frame tip if this tip does the work")
+    elif reached.any() and denial is None:
         lines.append(
             f"position error of the {compensation.frame} to expect: "
             f"{_figures(compensation.expected_mm[reached], 'mm')}; standard deviation, apart from the position of the "

@@ -23,6 +23,8 @@ from casacal import (
 from casacal.calibration.check import check
 from casacal.calibration.numbers import wrong_number
 from casacal.calibration.verdict import verdict_of
+from casacal.deployment.compensate import compensate, read_targets
+from casacal.deployment.programs import notes
 
 
 def with_lost_zero(hsr, joint, degrees, seed=0, **changes):
@@ -200,3 +202,16 @@ def test_a_last_link_that_is_shorter_is_named_beside_the_tool(held):
         assert "tool" in str(each)
         assert "d6" in str(each)
         assert "--prior" not in str(each)
+
+
+def test_compensated_flanges_promise_nothing_while_the_tool_may_be_longer(longer_tool, tmp_path):
+    problem, samples = longer_tool
+    found = calibrate(problem.with_prior({"d6": 20.0}), samples, reference=False)
+    file = tmp_path / "targets.csv"
+    rows = [",".join(f"{value:.4f}" for value in np.degrees(row)) for row in samples.joints[:3]]
+    file.write_text("\n".join([",".join(f"q{i}_deg" for i in range(1, 7)), *rows]) + "\n")
+    targets = read_targets(file, found.arm.source)
+    for frame, known in (("flange", False), ("tip", True)):
+        said = " ".join(notes(compensate(found.arm, targets, frame=frame), found.arm))
+        assert ("position error of the tip to expect" in said) == known
+        assert ("the error of the flange is not known" in said) != known

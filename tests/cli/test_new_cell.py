@@ -188,15 +188,6 @@ def test_a_plan_with_a_block_may_be_made_again_and_takes_no_second_block(tmp_pat
     """What casacal wrote it may write again; an edited file of somebody else stays."""
     where = str(ROOT / "problems" / "hsr_jr680")
     plan = ["plan", where, "--pool", "150", "--touches", "40", "--out", str(tmp_path / "p.csv")]
-        "plan",
-        str(ROOT / "problems" / "hsr_jr680"),
-        "--pool",
-        "150",
-        "--touches",
-        "40",
-        "--out",
-        str(tmp_path / "p.csv"),
-    ]
     for height in ("100", "80"):
         assert main([*plan, "--block", height]) == 0
     made = tmp_path / "hsr_jr680_block"
