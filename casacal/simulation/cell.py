@@ -10,7 +10,6 @@ from typing import Literal
 import numpy as np
 
 from casacal.errors import SimulationError, came
-from casacal.model.capsules import Solid
 from casacal.model.instrument import Travel, readings_within
 from casacal.model.problem_file import Surroundings
 from casacal.model.unknown import tangent_basis, unit_vector
@@ -63,6 +62,8 @@ class Disturbances:
     def __post_init__(self) -> None:
         object.__setattr__(self, "keep_out", tuple(plain(self.keep_out)))
         for box in self.keep_out:
+            from casacal.model.capsules import Solid  # most cells have none
+
             Solid.box("box", box)
         object.__setattr__(self, "gear_waves", _waves(self.gear_waves))
         if not 0 <= self.outliers < 1:
