@@ -219,12 +219,15 @@ def test_the_advice_to_check_keeps_what_was_set_but_not_what_is_wrong(corner_sim
 
 
 @pytest.mark.long
-def test_the_better_set_up_says_that_it_keeps_clear_of_nothing(tmp_path, capsys):
+def test_the_better_set_up_keeps_clear_of_what_the_plan_does(tmp_path, capsys):
     asked = ["plan", str(HSR), "--touches", "40", "--pool", "300", "--out", str(tmp_path / "plan")]
     assert main([*asked, "--keep-out", "5000:5100,0:10,0:10"]) == 0
-    assert "both ignore what must be kept clear of" in spoken(capsys).partition("touches: ")[0]
+    said = spoken(capsys).partition("touches: ")[0]
+    assert "keep off the table, box 1, face 'floor'" in said
+    assert "Consider another set-up first" in said
+    assert "ignore" not in said, "both were compared among touches that keep clear"
     assert main(asked) == 0
-    assert "clear of" not in spoken(capsys)
+    assert "box 1" not in spoken(capsys)
 
 
 def test_directions_that_move_no_tip_are_listed_by_name(corner_calibration):

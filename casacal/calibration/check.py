@@ -184,7 +184,7 @@ def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding
         base = misfit(problem, few)
     gross = float(np.sqrt((some.plain_residual(some.x0) ** 2).mean())) > OF_TWO * scatter
     cause = explained(problem, few, base, gross=gross, whole=samples) if base > SUSPICIOUS else None
-    midway = changed_midway(problem, few) if base > SUSPICIOUS and cause is None else None
+    midway = changed_midway(problem, few) if base > EXPLAINED and cause is None else None  # more than any arm errs
     if cause is not None and cause.finding.about == MOVED:  # what exchanged labels look like
         midway = labels_exchanged(problem, few, cause.undone.samples)
     if midway is not None:
