@@ -28,7 +28,7 @@ from casacal.calibration.before_fit import (
 )
 from casacal.calibration.faults import ALIKE, EXPLAINED, MOVED, SUSPICIOUS, MisfitCause, cause_of_rows, explained, flips
 from casacal.calibration.finding import Finding, misfit, quick_fit
-from casacal.calibration.midway import STUCK, changed_midway, labels_exchanged
+from casacal.calibration.midway import changed_midway, labels_exchanged
 from casacal.calibration.mirror import mirror_image
 from casacal.calibration.numbers import (
     tool_elsewhere_at,
@@ -128,6 +128,7 @@ MOST_ROWS = 600  # rows used to look for systematic faults; more add time, not i
 OF_A_FACE = 12  # rows of a face, where faces are many, that tell of systematic faults
 SPREAD = 20_000  # rows that tell of the set-up and of what the prior explains; more add memory, not insight
 
+STUCK = 1e-9  # rad or mm within which a joint does not move
 MOST_STRAY = 0.1  # part of the rows beyond which those far off their face are no single rows if the others do not fit
 
 OF_TWO = 3.0

@@ -24,12 +24,11 @@ from casacal.uncertainty.figures import effective_unknowns
 from casacal.wording import times
 
 SOMETHING = "something changed"
-FEWEST = 20  # rows that must fit by themselves; fewer fit to much
+FEWEST = 20  # rows that must fit by themselves; fewer fit to anything
 FEW_LEFT = 5  # rows beyond the line; fewer are single rows
 UNEXPECTED = 25.0  # chi-square of a row that those before it do not expect: five standard deviations
 LEFT_OVER = 5.0  # rows beyond what their fit needs that the good ones must have
 FAR_OFF = 5.0  # standard deviations by which most of the others must lie off
-STUCK = 1e-9  # rad or mm within which a joint does not move
 
 TRIMMED = 0.85  # part of the rows that a robust fit takes for good which surely are: it bears a tenth of others
 
