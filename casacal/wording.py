@@ -80,9 +80,11 @@ def mm(value: float, figures: int = 2) -> str:
 
 
 def sized(value: float, unit: str) -> str:
-    """A small size in a unit that suits it: "120 um", "35 urad"."""
+    """A small size in a unit that suits it: "120 um", "35 urad", "10 mrad"."""
     name, factor = SMALL_UNITS.get(unit, (unit, 1.0))
     number = value * factor
+    if number >= 1e3 and name in ("um", "urad"):
+        name, number = f"m{name[1:]}", number / 1e3
     return f"{number:,.0f} {name}" if number >= 100 else f"{number:.2g} {name}"
 
 

@@ -23,7 +23,8 @@ from casacal.data.holdout import split_each
 from casacal.data.repeats import without_copies
 from casacal.data.samples import Measurements, Samples
 from casacal.deployment.arm import CalibratedArm
-from casacal.effects.kit import BY_LINKS, with_link_kit
+from casacal.effects.compliance import LinkSag
+from casacal.effects.kit import with_link_kit
 from casacal.effects.selection import with_effects
 from casacal.errors import CasacalError, ProblemError, SamplesError, came
 from casacal.fit.arm_alone import bind_further
@@ -124,7 +125,7 @@ def calibrate(
             kit = kit and loss is None and not (name in METHODS and METHODS[name].parameters_only)
             settings = (set_aside, find_noise, kit, loss, backend, threads)
             fit, bare, aside = _from_drawing(source.problem, chosen_rows, *settings)
-        if not source.problem.terms and fit.problem.terms == BY_LINKS:
+        if not source.problem.terms and any(isinstance(each, LinkSag) for each in fit.problem.terms):
             source = replace(source, problem=with_link_kit(source.problem))  # a result names effects that are not usual
         heldout = bind_further(fit, *single.take(held).sets) if held.size else None
         built = time.perf_counter()

@@ -16,8 +16,8 @@ from casacal.calibration.before_fit import labels_alike, outside, repeated, roun
 from casacal.calibration.finding import Finding
 from casacal.calibration.inputs import Reference
 from casacal.calibration.mirror import mirror_image
-from casacal.calibration.motion import Motion, Tried, among, used_arm
-from casacal.calibration.numbers import tool_elsewhere_at, wrong_number, wrong_scale
+from casacal.calibration.motion import Motion, Tried, among, sees_the_tip, used_arm
+from casacal.calibration.numbers import borne_out, priors_of, tool_elsewhere_at, wrong_number, wrong_scale
 from casacal.calibration.sensitivity import Sensitivity, sensitivity
 from casacal.data.repeats import without_copies
 from casacal.data.samples import Measurements, Samples
@@ -31,6 +31,7 @@ from casacal.effects.selection import (
     errors_are_shared,
     leave_one_face_out,
 )
+from casacal.effects.trusted import Leverage, TrustedConstants, leverages, with_constants
 from casacal.errors import CasacalError
 from casacal.fit.arm_alone import ArmAlone, ArmProblem, arm_alone, extended
 from casacal.fit.bound_problem import BoundProblem, bind, each_alone
@@ -60,6 +61,7 @@ from casacal.uncertainty.tip_error import (
     workspace_joints,
 )
 from casacal.values import Array, FrozenMapping, Value
+from casacal.wording import listed
 
 if TYPE_CHECKING:
     from casacal.calibration.earlier import EarlierResult
@@ -207,9 +209,14 @@ class Calibration(Value):
         return np.asarray(self.result.x[~np.array(self.fit.beside, dtype=bool)])
 
     @cached_property
+    def doubted(self) -> BoundProblem:
+        """`bare` with the constants that the instruments take for exact as unknowns; itself where effects are out."""
+        return self.bare if self.bare is self.fit else self.bare.under(with_constants(self.bare.problem))
+
+    @cached_property
     def plain(self) -> Result:
-        """The minimum under the geometry alone: what is wrong with the rows shows there."""
-        return self.result if self.bare is self.fit else lm(self.bare)
+        """The minimum of `doubted`, without effects of the arm: what is wrong with the rows shows there."""
+        return self.result if self.bare is self.fit else lm(self.doubted)
 
     @property
     def aside_lines(self) -> tuple[int | str, ...]:
@@ -256,8 +263,11 @@ class Calibration(Value):
     def assumed(self) -> str:
         """Assumptions of every accuracy figure, as a clause: noise, priors, and what readings cannot check."""
         noise = "noise as found" if self.noise.scale else "the stated noise"
-        trusted = self.fit.problem.words.trusted
-        return f"{noise}, priors and {trusted}" if trusted else f"{noise} and priors"
+        known = {each.words for each in self.leverages}  # with priors of their own
+        trusted = [each.words.trusted for each in self.fit.problem.instruments if each.words.trusted not in known]
+        telling = self.telling_constant
+        names = [noise, "priors", *dict.fromkeys(filter(None, trusted)), *([telling.within] if telling else [])]
+        return listed(names)
 
     @cached_property
     def used_x(self) -> Array:
@@ -314,7 +324,7 @@ class Calibration(Value):
         """A warning where the samples put the tool elsewhere than the problem file; otherwise empty."""
         if not self.fit.unknowns or self.earlier is not None:  # the earlier result says where it is
             return ()
-        return tuple(tool_elsewhere_at(self.bare, self.plain.x, self.plain.covariance))
+        return tuple(tool_elsewhere_at(self.doubted, self.plain.x, self.plain.covariance))
 
     @cached_property
     def data_errors(self) -> tuple[Finding, ...]:
@@ -338,8 +348,24 @@ class Calibration(Value):
             name = alone.problem.names[0] if len(self.fit.samples) > 1 else ""
             found += [replace(each, instrument=name) for each in findings]
         if self.result.loss is None and self.earlier is None:
-            found += wrong_number(self.bare, alone=self.fit is self.bare)
+            found += wrong_number(self.doubted, alone=self.fit is self.bare)
         return tuple(each for each in found if each.severity == "error")
+
+    @cached_property
+    def borne_out(self) -> frozenset[str]:
+        """Numbers of the arm that contradict their priors and, freed, predict regions of postures left out.
+
+        Only where rows measure the tip itself: no fit to faces says that of the tip. They call for a wider prior, and
+        are no reason to refuse a calibration.
+        """
+        if self.earlier is not None or not sees_the_tip(self.fit):
+            return frozenset()
+        errors = self.data_errors if self.suspicious else self.plain_errors
+        named = {error.about.removesuffix(" elsewhere") for error in errors}
+        named.add(self.fit.names[int(np.argmax(self.moves))])
+        return frozenset(
+            name for name, *_ in priors_of(self.bare.problem) if name in named and borne_out(self.bare, name)
+        )
 
     def _each_bare(self) -> Iterator[BoundProblem]:
         """The fitted rows of each instrument by itself, under the geometry alone; those that can be bound so."""
@@ -468,9 +494,10 @@ class Calibration(Value):
         verdict is not to use this result. Touches tell geometry; what else errs, and an estimate's way to the minimum,
         stays.
         """
-        geometry, x = arm_alone(self.weighed, self.bare_x)
-        stays = self.tip_std[1] ** 2 - expected_accuracy(geometry, x)[1] ** 2
-        return cures(self.weighed, self.bare_x, stays=max(stays, 0.0) if math.isfinite(stays) else 0.0)
+        rows = self.doubted.with_noise(self.fit.scale)  # a step tells a dial's gain, too
+        x = self.result.x[[key in ("", TrustedConstants.key) for key in self.fit.beside]]
+        stays = self.tip_std[1] ** 2 - expected_accuracy(rows, x)[1] ** 2
+        return cures(rows, x, stays=max(stays, 0.0) if math.isfinite(stays) else 0.0)
 
     @cached_property
     def advice(self) -> tuple[str, ...]:
@@ -505,6 +532,17 @@ class Calibration(Value):
         return dial_errors(self.fit, self.result.x) if any(self.fit.beside) else ()
 
     @cached_property
+    def leverages(self) -> tuple[Leverage, ...]:
+        """What each constant that the instruments take for exact is worth at the tip; none under geometry alone."""
+        return leverages(self.fit, self.result)
+
+    @property
+    def telling_constant(self) -> Leverage | None:
+        """The trusted constant from which at least half of the tip error to expect comes; None where none does."""
+        most = next(iter(self.leverages), None)
+        return most if most is not None and most.left_mm > PART * self.unjudged.tip_std[1] else None
+
+    @cached_property
     def prior_moves(self) -> PriorMoves:
         """How far arm and tool moved beyond what their priors allow, all together."""
         return prior_moves(self.seen, self.seen_x, self.covariance)
@@ -529,7 +567,7 @@ class Calibration(Value):
         moved, effects = _moves(self.result), np.array(self.fit.beside, dtype=bool)
         moved[effects] = 0.0
         if effects.any() and self.plain.converged and not errors_are_shared(self.fit):
-            moved[~effects] = np.fmax(moved[~effects], _moves(self.plain))
+            moved[~effects] = np.fmax(moved[~effects], _moves(self.plain)[: int((~effects).sum())])
         return moved
 
     @property

@@ -42,6 +42,7 @@ from casacal.calibration.set_aside import off_their_face, robust_fit, single_row
 from casacal.data.repeats import without_copies
 from casacal.data.samples import Measurements, Samples
 from casacal.effects.selection import dial_errors, effect_sizes_of, with_effects
+from casacal.effects.trusted import with_constants
 from casacal.errors import CasacalError, came
 from casacal.fit.bound_problem import BoundProblem, bind, each_alone
 from casacal.fit.lm import lm
@@ -164,6 +165,7 @@ def check(problem: Problem, samples: Samples | Measurements, *, confirmed: bool 
 
 def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding]:
     """Findings on the samples of a problem's only instrument."""
+    drawn, problem = problem, with_constants(problem)
     lost, samples = lost_targets(problem, samples)
     findings = [*lost, *repeated(samples), *outside(problem, samples)]
     findings += [*absent_labels(problem, samples), *odd_labels(problem, samples), *lost_steps(problem, samples)]
@@ -206,7 +208,7 @@ def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding
     findings += [*_invisible_flips(problem, few, base), *_rows(rest)]
     findings = _with_cause_of_rows(problem, samples, findings)
     if all(finding.severity != "error" for finding in findings):
-        findings += effect_findings(problem, few)
+        findings += effect_findings(drawn, few)
         findings += [] if confirmed else _image(rest)
     return findings
 

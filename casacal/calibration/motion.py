@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casacal.effects.selection import MOST_ROWS, VERY_STRONG, at_most, gains, in_sample_gains
+from casacal.effects.trusted import TrustedConstants
 from casacal.fit.arm_alone import ArmAlone, ArmProblem, moving
 from casacal.fit.bound_problem import BoundProblem
 from casacal.fit.least_squares import Conditioned, Result
@@ -54,7 +55,8 @@ def used_arm(fit: BoundProblem, result: Result, corrected: Collection[str]) -> A
     corrects it, parameters take over what they can mimic of it, in the least squares of the tip; faces follow. Rows
     that saw the tip itself count as much as the workspace: they are where the arm works.
     """
-    left = np.array([bool(key) and key not in corrected for key in fit.beside], dtype=bool)
+    stands = {"", TrustedConstants.key, *corrected}  # constants of the instrument err alike at every posture
+    left = np.array([key not in stands for key in fit.beside], dtype=bool)
     if not left.any():
         return result.x
     arm, x = moving(fit, result.x)

@@ -10,7 +10,7 @@ import numpy as np
 
 from casacal.calibration.finding import Fault, Finding, Undone, quick_fit
 from casacal.data.samples import Samples
-from casacal.effects.selection import with_effects
+from casacal.effects.selection import regions_borne_out, with_effects
 from casacal.errors import CasacalError
 from casacal.fit.arm_alone import ArmProblem
 from casacal.fit.bound_problem import BoundProblem, bind, times
@@ -194,6 +194,19 @@ def wrong_number(bound: BoundProblem, *, alone: bool = False) -> list[Finding]:
             cause = f"{name} seems to differ from the problem file{size}; no other parameter is so far off"
             return [Finding("error", f"{name} elsewhere", cause, _fix(name, unit) + _tried(name, unit, by))]
     return []
+
+
+LITTLE = {"mm": 5.0, "rad": math.radians(2.0)}  # by which an arm may differ that is otherwise built as drawn
+
+
+def borne_out(bound: BoundProblem, name: str) -> bool:
+    """Whether a number of the arm, freed of its prior, moves little and predicts regions of postures left out."""
+    problem = bound.problem.with_prior({name: math.inf})
+    freed = bind(problem, *bound.samples)
+    fit = with_effects(freed.with_noise(found_noise(freed).scale), problem)
+    found = lm(fit)
+    j = fit.names.index(name)
+    return abs(found.x[j]) < LITTLE.get(fit.units[j], 0.0) and found.converged and regions_borne_out(fit, found)
 
 
 def _rivals(bound: BoundProblem, name: str, freed: Result) -> dict[str, str]:

@@ -330,6 +330,7 @@ def report_page(
         "cures": None if denied else tables.next_steps(calibration),
         "directions": costly,
         "harmless": harmless,
+        "constants": None if denied else tables.constants(calibration),
         "effects": tables.effects(calibration),
         "tried": _tried(calibration.tried),
         "very_strong": f"{VERY_STRONG:g}",

@@ -235,6 +235,7 @@ def summary(calibration: WithVerdict, name: str) -> str:
         _parameters(calibration),
         _blind_spots(calibration, denied),
         "" if denied else _next_steps(calibration),
+        "" if denied or not calibration.leverages else tables.constants(calibration).text(),
         _effects(calibration),
         _reference(calibration),
     ]

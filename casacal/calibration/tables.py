@@ -146,6 +146,28 @@ def effects(calibration: Calibration) -> PrintedTable:
     return PrintedTable(titles, rows)
 
 
+def constants(calibration: Calibration) -> PrintedTable:
+    """A line for each constant that the instruments take for exact, by what of the expected tip error it causes."""
+    rows = [
+        [
+            capital(each.words),
+            sized(each.std, each.unit),
+            f"{each.tip_mm:.2g}",
+            f"{each.left_mm:.2g}",
+            capital(each.cure),
+        ]
+        for each in calibration.leverages
+    ]
+    titles = (
+        "Taken for exact",
+        "#Standard deviation",
+        "#That moves the tip by, mm",
+        "#Left in the tip error, mm",
+        "Cure",
+    )
+    return PrintedTable(titles, rows)
+
+
 def corrected_words(calibration: Calibration) -> list[str]:
     """Corrected effects and the tip error of a controller that cannot correct them; empty where none is corrected."""
     named = listed([each.words for each in calibration.tried if each.corrected])

@@ -29,7 +29,7 @@ TOO_TIGHT = 1e-4  # chance of moves as large as these, all together, below which
 SETTLED = 0.1  # expected tip error over that before, below which the samples decide, however loose the priors
 
 SHOWN = 6
-DECLARE = "have the dial calibrated, or declare the error as unknown (gain=dial_gain(0.15) or cycle= of the instrument)"
+DECLARE = "have the dial calibrated, or declare the error as unknown (gain=dial_gain(1) or cycle= of the instrument)"
 
 VERIFY = "touch in other postures, and check with casacal verify whether the result holds there"
 WIDEN = f"state wider priors (--accuracy, --prior) if the arm may be so far from its drawing; otherwise {VERIFY}"
@@ -113,6 +113,12 @@ def _far_parameters(calibration: Calibration) -> Doubt | None:
         named = shortened([f"{names[j]} ({moved[j]:.1f})" for j in far], SHOWN)
         said = f"Parameters moved by more than {FAR:g} prior standard deviations: {named}. "
         said += f"Together they moved {factor}"
+    if calibration.borne_out:
+        names = sorted(calibration.borne_out)
+        said += f". Regions of postures that were left out bear out that {listed(names)} of this arm "
+        said += f"differ{'s' if len(names) == 1 else ''} from the drawing"
+        wider = f"correct {listed(names)} in the problem file, or state wider priors (--prior, --accuracy)"
+        return Doubt("parameters moved far beyond their priors", f"{said}. {capital(wider)}.", wider)
     return Doubt(
         "parameters moved far beyond their priors",
         f"{said}. Either these priors are too tight for this arm (--accuracy, --prior), or the "
@@ -265,9 +271,17 @@ def _effects_left_out(calibration: Calibration) -> Doubt | None:
     )
 
 
+COVERED = 3.0  # standard deviations of a constant up to which its prior is what covers an error of it
+
+
 def _dial_is_off(calibration: Calibration) -> Doubt | None:
     """The rows show an error of the dial that the problem does not know, and it bends the arm by more than promised."""
-    shown = [error for error in calibration.dial_errors if error.shown and error.tip_mm > calibration.tip_std[1]]
+    doubted = {each.name: each.std for each in calibration.leverages}
+    shown = [
+        error
+        for error in calibration.dial_errors
+        if error.shown and error.tip_mm > calibration.tip_std[1] and error.size > COVERED * doubted.get(error.key, 0.0)
+    ]
     if not shown:
         return None
     worst = max(shown, key=lambda error: error.tip_mm)
@@ -377,9 +391,11 @@ def _expected(calibration: Calibration) -> str:
     names = calibration.fit.problem.names
     whose = f" ({names[0]})" if len(names) > 1 else ""
     at_flange = f" and {mm(flange)} at the flange" if math.isfinite(flange) else ""
+    constant = calibration.telling_constant
+    owed = f" {mm(constant.left_mm)} of it are {constant.words}: {constant.cure} makes it known." if constant else ""
     return (
         f"expect a tip error{whose} of {least}{mm(now)} RMS over the workspace (before: {mm(before)})"
-        f"{at_flange}, {trusted}."
+        f"{at_flange}, {trusted}.{owed}"
     )
 
 
@@ -434,6 +450,8 @@ def wrong_with_samples(calibration: Calibration) -> tuple[Finding, ...]:
     found = calibration.data_errors if calibration.suspicious else calibration.plain_errors
     own = [each for each in calibration.instrument_findings if each.severity == "error"]
     reported = {"misfit", SCALE, *(error.about for error in own)}
+    if any(error.about.endswith(" elsewhere") for error in found):
+        reported |= {f"{name} elsewhere" for name in calibration.borne_out}
     return tuple(without_its_likes([*(error for error in found if error.about not in reported), *own]))
 
 
@@ -538,13 +556,14 @@ def priors_contradicted(calibration: Calibration) -> list[str]:
     if not calibration.fit.unknowns:
         return []
     (before, now), far = calibration.tip_std, float(calibration.moves.max(initial=0.0))
-    if far > BENT:
-        worst = calibration.fit.names[int(np.argmax(calibration.moves))]
+    worst = calibration.fit.names[int(np.argmax(calibration.moves))]
+    if far > BENT and worst not in calibration.borne_out:
         return [
             f"{worst} moved by {times(far)} prior standard deviations. Either a sign, a unit or a label is wrong, or "
             "it is so far from what the problem says; state wider priors then (--prior, or --accuracy for the arm)"
         ]
     drawn, scatter = calibration.metrics["before"]["fit"], prior_scatter(calibration.bare)
+    before = calibration.flange_std[0]  # a tool's prior is no part of the arm's
     assert drawn is not None
     # were all priors so much narrower as the drawn arm contradicts them, this is what it would err by
     as_drawn = before * drawn["rmse_mm"] / scatter.rms if scatter.rms > 0 else math.inf

@@ -6,7 +6,9 @@ from casacal.effects.compliance import DOWN, GravitySag, LinkSag
 from casacal.effects.effect import Effect
 from casacal.effects.gears import Backlash, GearRipple, TransmissionError
 from casacal.effects.smooth import Drift, FaceForm, JointField, ThermalGrowth
+from casacal.effects.trusted import CONSTANTS
 from casacal.model.problem import Problem
+from casacal.model.term import Term
 
 
 def kit(*, down: tuple[float, float, float] = DOWN, links: bool = False) -> tuple[Effect, ...]:
@@ -25,6 +27,7 @@ def kit(*, down: tuple[float, float, float] = DOWN, links: bool = False) -> tupl
         JointField(),
         Drift(),
         ThermalGrowth(),
+        CONSTANTS,
     )
 
 
@@ -36,9 +39,14 @@ def rich_kit(*, down: tuple[float, float, float] = DOWN) -> tuple[Effect, ...]:
 STANDARD, BY_LINKS, RICH = kit(), kit(links=True), rich_kit()  # the same values each time: what is compiled knows them
 
 
+def own_terms(problem: Problem) -> tuple[Term, ...]:
+    """Terms that a problem declares, but for the constants that its instruments take for exact."""
+    return tuple(term for term in problem.terms if term != CONSTANTS)
+
+
 def with_kit(problem: Problem) -> Problem:
     """A problem with its own terms, or with the effects that any arm is expected to have."""
-    return problem if problem.terms else problem.with_terms(*STANDARD)
+    return problem if own_terms(problem) else problem.with_terms(*STANDARD)
 
 
 def with_link_kit(problem: Problem) -> Problem:

@@ -10,11 +10,12 @@ import numpy as np
 from scipy.special import fdtrc
 
 from casacal.data.columns import Labels
-from casacal.data.holdout import FACES, INSTRUMENTS, splits, splits_by
+from casacal.data.holdout import FACES, INSTRUMENTS, REGIONS, splits, splits_by
 from casacal.effects.compliance import LinkSag
 from casacal.effects.effect import Effect, effects_of
-from casacal.effects.kit import with_kit, with_link_kit, with_rich_kit
+from casacal.effects.kit import own_terms, with_kit, with_link_kit, with_rich_kit
 from casacal.effects.smooth import JointField
+from casacal.effects.trusted import TrustedConstants
 from casacal.errors import ProblemError
 from casacal.fit.bound_problem import OTHERS, SHARED, BoundProblem, by_face, of_repeats, times
 from casacal.fit.least_squares import Result
@@ -27,7 +28,7 @@ from casacal.uncertainty.figures import HALF_WEIGHT, rms
 from casacal.uncertainty.fresh_rows import FreshRows, chance, covariance_root
 from casacal.uncertainty.noise import WORTH, beforehand, joints_err, with_joints
 from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
-from casacal.values import Array
+from casacal.values import Array, Index
 from casacal.wording import sized
 
 ENOUGH = 300  # rows from which on a field of many unknowns can be told
@@ -73,7 +74,7 @@ def with_effects(bound: BoundProblem, problem: Problem, *, find_noise: bool = Tr
     if not geometry.converged:
         return bound
     standard, least = _Linear.of(bound, with_kit(problem), geometry.x), 1.0 if find_noise else None
-    if problem.terms:
+    if own_terms(problem):
         return standard.sized(least)
     if find_noise and bound.rows > ENOUGH:
         part = standard.sized(PART)
@@ -108,7 +109,8 @@ class _Linear:
         """Linearised rows where the geometry alone stands at `geometry` (n,)."""
         whole = bound.under(problem)
         x = whole.x0.copy()
-        x[[j for j, key in enumerate(whole.beside) if not key]] = geometry
+        places = {name: j for j, name in enumerate(whole.names)}
+        x[[places[name] for name in bound.names]] = geometry
         ways, scale = [whole], whole.scale
         if set(scale) - {OTHERS, SHARED}:
             ways.append(whole.with_noise({OTHERS: min(by_face(scale).values()), **of_repeats(scale)}))
@@ -266,6 +268,7 @@ def effect_sizes_of(fit: BoundProblem, x: Array) -> tuple[EffectSize, ...]:
     """Every effect of a fit, the likeliest first; x: where it stands (n,). Empty for the geometry alone."""
     times = times_found(fit)
     known = [effect for effect in effects_of(fit.problem) if effect.key in times and effect.key in fit.beside]
+    known = [effect for effect in known if not isinstance(effect, TrustedConstants)]  # those have `leverages`
     gains = in_sample_gains(fit, x, [effect.key for effect in known]) if known else {}
     found = [
         EffectSize(
@@ -285,7 +288,8 @@ def dial_errors(fit: BoundProblem, x: Array) -> tuple[DialError, ...]:
     """Undeclared dial errors that would improve a fit: a gain, and an error periodic in the pointer's angle.
 
     Columns B (N, m) beside a minimum of residuals r, with C its covariance: what the fit leaves of them,
-    K = B'(I - J C J')B, lowers the sum of squares by B'r K^-1 B'r; that over the rest is F distributed.
+    K = B'(I - J C J')B, lowers the sum of squares by B'r K^-1 B'r; that over the rest is F distributed. A gain that the
+    fit doubts anyway is held for its own test.
 
     Args:
         fit: with noise and effects as they were found, so that none of these passes for the dial's error.
@@ -294,14 +298,22 @@ def dial_errors(fit: BoundProblem, x: Array) -> tuple[DialError, ...]:
     """
     if not fit.unknowns or not any(instrument.probe for instrument in fit.problem.instruments):
         return ()
-    jacobian, residual, joints = fit.jacobian(x), fit.residual(x), workspace_joints(fit.problem.robot)
-    covariance = posterior_covariance(jacobian.T @ jacobian, fit.prior_information)
-    covariance = np.where(np.isfinite(covariance), covariance, 0.0)
-    square = float(residual @ residual) + 2 * fit.prior_cost(x)
-    free = len(residual) - int((~np.isfinite(fit.prior_std)).sum())
+    slopes, joints = fit.jacobian(x), workspace_joints(fit.problem.robot)
     tips, found = fit.tips(x, joints), []
-    field = without_rigid(fit.tip_jacobian(x, joints), tips)
+    fields = without_rigid(fit.tip_jacobian(x, joints), tips)
+    free = fit.rows - int((~np.isfinite(fit.prior_std)).sum())
     for key, words, unit, columns in _dial_columns(fit, x):
+        before, _, name = key.rpartition(".")
+        held = f"{before}{'.' if before else ''}{TrustedConstants.key}_{name}"
+        kept = np.array([each != held for each in fit.names], dtype=bool)
+        jacobian, field, prior = slopes[:, kept], fields[:, kept], fit.prior_information[np.ix_(kept, kept)]
+        covariance = posterior_covariance(jacobian.T @ jacobian, prior)
+        covariance = np.where(np.isfinite(covariance), covariance, 0.0)
+        away = (x - fit.x0)[kept]
+        residual = fit.residual(x) - slopes[:, ~kept] @ x[~kept]
+        step = -covariance @ (jacobian.T @ residual + prior @ away)  # none where nothing is held
+        residual = residual + jacobian @ step
+        square = float(residual @ residual) + float((away + step) @ prior @ (away + step))
         cross = jacobian.T @ columns
         left, own = columns.T @ columns - cross.T @ covariance @ cross, columns.T @ columns
         freedom = free - columns.shape[1]
@@ -392,9 +404,26 @@ def leave_one_face_out(bound: BoundProblem, result: Result) -> tuple[LeftOut, ..
     faces = bound.faces
     if not 2 <= len(faces.names) <= MOST_FACES or bound.rows > MOST_ROWS:
         return ()
-    found = []
-    for face, rows in faces.rows().items():
-        others = bound.take(np.setdiff1d(np.arange(len(faces)), rows))
+    return tuple(_left_out(bound, result, faces.rows()))
+
+
+AS_PROMISED = 1.3  # misses of rows left out over those predicted, up to which a fit is borne out by them
+
+
+def regions_borne_out(bound: BoundProblem, result: Result) -> bool:
+    """Whether a fit without each region of postures in turn predicts that region's rows as well as it says."""
+    parts = splits_by({}, bound.measured.joints).get(REGIONS, [])
+    found = list(_left_out(bound, result, {str(k): rows for k, rows in enumerate(parts)}))
+    if not found or len(found) < len(parts):
+        return False
+    actual, predicted = (math.hypot(*(getattr(each, name) for each in found)) for name in ("actual_mm", "predicted_mm"))
+    return actual <= AS_PROMISED * predicted
+
+
+def _left_out(bound: BoundProblem, result: Result, parts: Mapping[str, Index]) -> Iterator[LeftOut]:
+    """Each part of the rows as a fit to the others predicts it; none where that fit does not converge."""
+    for face, rows in parts.items():
+        others = bound.take(np.setdiff1d(np.arange(len(bound.measured)), rows))
         fit = lm(others, start=result.x, loss=result.loss)
         if not fit.converged:
             continue
@@ -409,8 +438,7 @@ def leave_one_face_out(bound: BoundProblem, result: Result) -> tuple[LeftOut, ..
         of_unit = bound.leading[index]
         actual, predicted = (rms((sizes * bound.noise[index])[of_unit]) for sizes in (judged.left, judged.std))
         p = chance(judged.chi_square, judged.freedom)
-        found.append(LeftOut(face, len(rows), actual, predicted, judged.chi_square, judged.freedom, p))
-    return tuple(found)
+        yield LeftOut(face, len(rows), actual, predicted, judged.chi_square, judged.freedom, p)
 
 
 GONE = 1e12  # times a prior's information by which an effect is taken away

@@ -51,7 +51,7 @@ def surveys_of(problem: Problem, samples: Sequence[Samples], named: Mapping[str,
     if not problem.terms:
         return (None,) * len(samples)
     return tuple(
-        Survey.of(some, nominal_tips(problem, i, some, proposed_by(problem, i, named)), problem.instruments[i].groups)
+        Survey.of(some, nominal_tips(problem, i, some, proposed_by(problem, i, named)), problem.instruments[i])
         for i, some in enumerate(samples)
     )
 

@@ -8,6 +8,7 @@ from casacal.model.instrument import Probe as Probe
 from casacal.model.instrument import ResidualBlock as ResidualBlock
 from casacal.model.instrument import Sight as Sight
 from casacal.model.instrument import Suspect as Suspect
+from casacal.model.instrument import Trusted as Trusted
 from casacal.model.instrument import Words as Words
 from casacal.model.problem_file import ProblemFile as ProblemFile
 from casacal.model.symbols import Symbols as Symbols

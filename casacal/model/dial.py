@@ -19,7 +19,9 @@ from casacal.model.instrument import (
     Sight,
     Suspect,
     Travel,
+    Trusted,
     Words,
+    held_trusted,
     tool_point,
     units_mistaken,
 )
@@ -45,6 +47,9 @@ def dial_cycle(micrometres: float = 3.0) -> Parameter:
 def dial_zero(std: float = 10.0, *, per: str = "session") -> Parameter:
     """Shift of a dial's zero where it was set anew: an unknown for each value of a column, with a prior in mm."""
     return Parameter(0.0, unit="mm", prior_std=std, per=per)
+
+
+PLUNGER_STD = 0.01  # rad by which a plunger may stand off the axis that it was mounted along
 
 
 @dataclass(frozen=True)
@@ -160,8 +165,8 @@ class DialOnPlane(Instrument):
         return height | {f"on_step_{i}": {label: 1.0} for i, label in enumerate(self.steps, 1)}
 
     def instance(self, key: str, label: str) -> str:
-        """A step shares the plane of the face it stands on."""
-        return self.steps[label].on if key == "plane" and label in self.steps else label
+        """A step shares the plane of the face it stands on, and what else is of that face."""
+        return self.steps[label].on if key not in self._of_dial and label in self.steps else label
 
     @property
     def column_stds(self) -> Mapping[str, float]:
@@ -207,6 +212,19 @@ class DialOnPlane(Instrument):
             zero=None if self.zero_shift is None else "zero_shift",
             zero_label=None if self.zero_shift is None else self.zero_shift.per,
         )
+
+    @property
+    def trusted(self) -> Mapping[str, Trusted]:
+        """The dial's gain and the direction of its plunger, unless they are declared as unknowns."""
+        if not self.reading:
+            return {}
+        words = "the direction of the plunger"
+        found = dict(held_trusted("plunger", self.plunger, words, PLUNGER_STD, cure="declare plunger=Direction(...)"))
+        if self.gain is None:
+            gain = dial_gain()
+            std, cure = float(gain.prior_std), "a gauge block of known height beside a face"  # type: ignore[arg-type]
+            found["gain"] = Trusted(words="the dial's gain", std=std, unit=gain.unit, scales=("reading",), cure=cure)
+        return found
 
     @property
     def suspects(self) -> tuple[Suspect, ...]:

@@ -93,6 +93,37 @@ class Sight:
         return np.asarray(-plane.normal if towards else plane.normal)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Trusted:
+    """A constant that an instrument takes for exact, and how wrong it may well be.
+
+    words: as people call it. std: standard deviation of its error, in `unit`. scales: columns that err in proportion,
+    with `std` in percent. shifts: key of a held unknown that stands elsewhere, a direction by two tilts. cure: what
+    would make it known, as a clause.
+    """
+
+    words: str
+    std: float
+    unit: str
+    scales: tuple[str, ...] = ()
+    shifts: str = ""
+    cure: str = ""
+
+
+def scale_trusted(words: str, percent: float, *columns: str, cure: str = "") -> Mapping[str, Trusted]:
+    """The scale of some columns, which nothing else in the rows tells from the size of the arm."""
+    return {"scale": Trusted(words=words, std=percent, unit="%", scales=columns, cure=cure)}
+
+
+def held_trusted(key: str, unknown: Unknown, words: str, std: float, *, cure: str = "") -> Mapping[str, Trusted]:
+    """An unknown that is held, with the prior that it states or else `std`; nothing where it is estimated."""
+    if unknown.size or unknown.nominal is None:
+        return {}
+    stated: Any = getattr(unknown, "prior_std", None)
+    std = float(stated) if is_real(stated) and math.isfinite(stated) else std
+    return {key: Trusted(words=words, std=std, unit=unknown.freed().units[0], shifts=key, cure=cure)}
+
+
 COORDINATE = "residual of each coordinate"
 
 
@@ -329,7 +360,7 @@ class Instrument(Portable, ABC):
         return False
 
     def instance(self, key: str, label: str) -> str:
-        """Which instance of an unknown a label shares; its own unless overridden."""
+        """Which instance of an unknown, or of what a term adds by label, a label shares; its own unless overridden."""
         del key
         return label
 
@@ -347,6 +378,11 @@ class Instrument(Portable, ABC):
     def probe(self) -> Probe | None:
         """The probe that touches flat faces; None for other instruments."""
         return None
+
+    @property
+    def trusted(self) -> Mapping[str, Trusted]:
+        """Constants that it takes for exact, by name; `calibrate` lets each be as wrong as is said here."""
+        return {}
 
     @property
     def suspects(self) -> tuple[Suspect, ...]:
@@ -505,6 +541,7 @@ class TracedInstrument(Instrument):
     residual_std = _declared("residual_std")
     probe = _declared("probe")
     blocks = _declared("blocks", ())
+    trusted = _declared("trusted", FrozenMapping({}))
 
     @staticmethod
     def of(instrument: Instrument, parameters: Mapping[str, Unknown]) -> TracedInstrument:
@@ -528,7 +565,8 @@ class TracedInstrument(Instrument):
 
     def instance(self, key: str, label: str) -> str:
         """The label's own instance of an unknown, or the one that it shared when it was traced."""
-        return str(self.declared.get("instances", {}).get(key, {}).get(label, label))
+        shared = self.declared.get("instances", {})
+        return str(shared.get(key, shared.get("plane", {}) if key not in self.unknowns else {}).get(label, label))
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """The residual that was traced."""

@@ -16,9 +16,12 @@ from casacal.model.instrument import (
     Sight,
     Suspect,
     ToolTip,
+    Trusted,
     Words,
     centre_of,
+    held_trusted,
     proposed_point,
+    scale_trusted,
     tool_point,
     units_mistaken,
 )
@@ -27,6 +30,12 @@ from casacal.model.unknown import Parameter
 from casacal.values import Array, FrozenMapping, is_finite
 
 AXES = ("x", "y", "z")
+
+# standard deviations of what is taken for exact, where nobody states one; scales in percent of a length
+TRACKER_SCALE = 0.001  # 10 um in a metre: air of a few kelvin other than assumed
+WIRE_SCALE = 0.01
+PLATE_SCALE = 0.005  # a steel plate some kelvin from 20 degrees
+RADIUS_STD = 0.02  # mm, of two turned balls together
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,6 +109,11 @@ class Sockets(ToolTip):
         """Position of the row's socket along the bar, mm."""
         return {"along": self.along}
 
+    @property
+    def trusted(self) -> Mapping[str, Trusted]:
+        """How far the sockets are apart."""
+        return scale_trusted("the sockets' distances", PLATE_SCALE, "along", cure="measure the bar")
+
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Vector from the socket to the ball's centre (3, mm)."""
         return self.tip(pose, p, row) - (p.start + row.along * p.bar)
@@ -158,6 +172,11 @@ class TrackedPoint(PointInFrame):
     columns = FrozenMapping(dict.fromkeys(AXES, "length"))
 
     @property
+    def trusted(self) -> Mapping[str, Trusted]:
+        """The scale of the tracker's lengths."""
+        return scale_trusted("the scale of the coordinates", TRACKER_SCALE, *AXES, cure="check it on a known length")
+
+    @property
     def suspects(self) -> tuple[Suspect, ...]:
         """Units, and a mirrored frame."""
         cause = "the points seem to come in a left-handed frame: one axis counted the other way, or two exchanged"
@@ -207,6 +226,11 @@ class KnownPoint(PointInFrame):
             raise ProblemError(what, "Give three or more that do not lie on one line")
 
     @property
+    def trusted(self) -> Mapping[str, Trusted]:
+        """How far the points are apart."""
+        return scale_trusted("the points' coordinates", PLATE_SCALE, *AXES, cure="measure the plate")
+
+    @property
     def known_columns(self) -> Mapping[str, Mapping[str, float]]:
         """Coordinates of the row's point on the plate, mm."""
         return {axis: {label: point[i] for label, point in self.points.items()} for i, axis in enumerate(AXES)}
@@ -242,6 +266,11 @@ class SphereTouch(ToolTip):
         group="sphere",
     )
 
+    @property
+    def trusted(self) -> Mapping[str, Trusted]:
+        """The radius, where it is held."""
+        return held_trusted("radii", self.radii, "the radius of spheres and probe", RADIUS_STD, cure="measure both")
+
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Gap between ball and sphere, mm."""
         return ca.norm_2(self.tip(pose, p, row) - p.centre) - p.radii
@@ -272,6 +301,11 @@ class SelfContact(ToolTip):
 
     words = Words("distance between the balls", "mm", "touches", "nothing fitted")
 
+    @property
+    def trusted(self) -> Mapping[str, Trusted]:
+        """The sum of both radii, where it is held."""
+        return held_trusted("apart", self.apart, "the radii of the balls", RADIUS_STD, cure="measure both")
+
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Gap between the balls, mm."""
         return ca.norm_2(self.tip(pose, p, row) - p.other) - p.apart
@@ -299,6 +333,11 @@ class Distance(ToolTip):
     words = Words(
         "residual of the length", "mm", "lengths", "anchors and zero fitted alone", "the scale of the lengths", "anchor"
     )
+
+    @property
+    def trusted(self) -> Mapping[str, Trusted]:
+        """The scale of the lengths."""
+        return scale_trusted("the scale of the lengths", WIRE_SCALE, "length", cure="check it on a known length")
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Predicted minus read length, mm."""

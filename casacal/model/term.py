@@ -54,11 +54,12 @@ class Survey:
     """The rows themselves, or, of very many, some of them."""
 
     @staticmethod
-    def of(samples: Samples, tips: Array, label: str | None) -> Survey:
-        """Survey of samples with nominal tips (N, 3; mm), on faces that the column `label` names."""
-        faces = {
-            name: FaceFrame.of(tips[rows]) for name, rows in samples.faces(label).rows().items() if len(rows) >= FEWEST
-        }
+    def of(samples: Samples, tips: Array, instrument: Instrument) -> Survey:
+        """Survey of samples with nominal tips (N, 3; mm) on an instrument's faces; a step lies in its face's frame."""
+        rows = samples.faces(instrument.groups).rows()
+        on = {name: instrument.instance("", name) for name in rows}
+        own = {name: FaceFrame.of(tips[rows[name]]) for name in rows if on[name] == name and len(rows[name]) >= FEWEST}
+        faces = {name: own[on[name]] for name in rows if on[name] in own}
         some = np.unique(np.linspace(0, len(samples) - 1, MANY).astype(int))
         order = np.sort(np.asarray(samples.lines))[some]
         return Survey(

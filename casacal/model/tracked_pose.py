@@ -20,7 +20,9 @@ from casacal.model.instrument import (
     ResidualBlock,
     Sight,
     Suspect,
+    Trusted,
     Words,
+    scale_trusted,
     units_mistaken,
 )
 from casacal.model.kinematics import (
@@ -40,6 +42,7 @@ QUATERNION = ("quat_w", "quat_x", "quat_y", "quat_z")
 VECTOR = ("turn_x", "turn_y", "turn_z")
 TURNS = ("turn_1", "turn_2", "turn_3")
 
+POSE_SCALE = 0.01  # percent: cameras and boards; a tracker is better
 NO_TURN = 1e-6  # size of a quaternion's numbers below which it says nothing
 SMALL = 1e-24  # keeps a rotation vector of zero from being divided by its length
 
@@ -124,6 +127,11 @@ class TrackedPose(Instrument):
         """Position and orientation."""
         place = ResidualBlock("position", 3, "mm", self.position_std)
         return (place, ResidualBlock("orientation", 3, "rad", self.angle_std))
+
+    @property
+    def trusted(self) -> Mapping[str, Trusted]:
+        """The scale of the positions."""
+        return scale_trusted("the scale of the poses", POSE_SCALE, *POSITION, cure="check it on a known length")
 
     @property
     def suspects(self) -> tuple[Suspect, ...]:

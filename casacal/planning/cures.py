@@ -16,7 +16,7 @@ import numpy as np
 from casacal.data.samples import Samples
 from casacal.effects.selection import MANY
 from casacal.errors import CasacalError
-from casacal.fit.arm_alone import ArmProblem, arm_alone
+from casacal.fit.arm_alone import ArmProblem
 from casacal.fit.bound_problem import OTHERS, BoundProblem, by_face, times
 from casacal.fit.slots import Slot, make_slots
 from casacal.linalg import posterior_covariance
@@ -48,7 +48,7 @@ class Cure:
     """A recommended next step, and the tip error to expect after it.
 
     expected_rms_mm: over the workspace, apart from the position of the base. recommended: whether it gains more than a
-    few per cent, over as many touches of the same kind too. covariance: of the unknowns that the samples share (s, s),
+    few per cent, over as many touches of the same kind too. covariance: of the geometry that the samples share (s, s),
     after it.
     """
 
@@ -85,11 +85,10 @@ def cures(bound: BoundProblem, x: Array, *, stays: float = 0.0) -> tuple[Cure, .
     """
     if not (x.size and np.isfinite(x).all()):
         return ()
-    arm, at = arm_alone(bound, x)
-    data, field = arm.information(at), _field(arm, at)
+    data, field = bound.information(x), _field(bound, x)
 
     def judged(information: Array, prior: Array) -> tuple[float, Array]:
-        covariance = posterior_covariance(information, prior)[: at.size, : at.size]  # the last unknowns move no tip
+        covariance = posterior_covariance(information, prior)[: x.size, : x.size]  # the last unknowns move no tip
         return math.sqrt(float((tip_stds(covariance, field) ** 2).sum(axis=1).mean()) + stays), covariance
 
     found: dict[str, tuple[float, Array, CureOutcome]] = {}
@@ -98,14 +97,14 @@ def cures(bound: BoundProblem, x: Array, *, stays: float = 0.0) -> tuple[Cure, .
             error, covariance = judged(outcome.information, outcome.prior)
             if outcome.kind not in found or error < found[outcome.kind][0]:  # the best of one kind at several places
                 found[outcome.kind] = error, covariance, outcome
-    now, _ = judged(data, arm.prior_information)
+    now, _ = judged(data, bound.prior_information)
     same = min(now, found["same"][0]) if "same" in found else now
-    made = []
+    made, geometry = [], [j for j, key in enumerate(bound.beside) if not key]
     for kind, (error, covariance, outcome) in found.items():
         if kind == "tilt" and error > SAME * same:  # such as an arm whose tool cannot tilt
             continue
         gains = error < GAIN * (now if kind in ("same", "tool") else same)
-        made.append(Cure(outcome.words, outcome.touches, error, gains, covariance))
+        made.append(Cure(outcome.words, outcome.touches, error, gains, covariance[np.ix_(geometry, geometry)]))
     return tuple(sorted(made, key=lambda cure: cure.expected_rms_mm))
 
 
@@ -132,8 +131,7 @@ def cure_for(bound: ArmProblem, now: Array, found: Sequence[Cure], direction: Nu
 
 def outcomes(bound: BoundProblem, x: Array) -> Iterator[CureOutcome]:
     """Expected accuracy after each cure at x (n,); the first unknowns are those that the samples share."""
-    arm, at = arm_alone(bound, x)
-    data = arm.information(at)
+    data, prior = bound.information(x), bound.prior_information
     few = bound.unknowns <= MANY  # to choose among touches takes the cube of their number for each
     try:
         touched = CalibratedCell.of(bound, x) if few else None
@@ -141,29 +139,29 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[CureOutcome]:
         touched = None
     if touched is not None and touched.tilt >= MOST_TILT:  # no such arm is understood
         touched = None
-    stds = np.sqrt(np.diagonal(posterior_covariance(data, arm.prior_information)))
-    tool = [j for j in tool_unknowns(arm, at) if arm.units[j] == "mm" and stds[j] > TOOL_STD]
+    stds = np.sqrt(np.diagonal(posterior_covariance(data, prior)))
+    tool = [j for j in tool_unknowns(bound, x) if bound.units[j] == "mm" and stds[j] > TOOL_STD]
     if tool:  # the samples know its point less well than other means
-        prior = arm.prior_information.copy()
-        prior[tool, tool] = np.maximum(prior[tool, tool], 1 / TOOL_STD**2)
-        words = f"measure {listed([arm.names[j] for j in tool])} to {TOOL_STD:g} mm by other means"
-        yield CureOutcome("tool", words, 0, data, prior)
+        measured = prior.copy()
+        measured[tool, tool] = np.maximum(prior[tool, tool], 1 / TOOL_STD**2)
+        words = f"measure {listed([bound.names[j] for j in tool])} to {TOOL_STD:g} mm by other means"
+        yield CureOutcome("tool", words, 0, data, measured)
     if len(bound.samples) > 1:
         for i, name in enumerate(bound.problem.names):  # as much as its rows tell of the shared unknowns now
-            without, there = arm_alone(bound.take(np.flatnonzero(bound.measured.instruments != i)), x)
+            without = bound.take(np.flatnonzero(bound.measured.instruments != i))
             more = EXTRA_TOUCHES / max(len(bound.samples[i]), 1)
-            information = data + more * (data - without.information(there))
+            information = data + more * (data - without.information(x))
             words = f"{EXTRA_TOUCHES} more samples of the {name}"
-            yield CureOutcome(f"same as {name}", words, EXTRA_TOUCHES, information, without.prior_information)
+            yield CureOutcome(f"same as {name}", words, EXTRA_TOUCHES, information, prior)
         return
     samples = extra_samples(bound, x) if touched is None and few else None
     if touched is None and samples is None:
         ways = (("same", "more samples of the same kind", 1), ("noise", "samples at half the noise", 4))
         for kind, how, weight in ways:
             more = weight * EXTRA_TOUCHES / len(bound.samples[0])
-            yield CureOutcome(kind, f"{EXTRA_TOUCHES} {how}", EXTRA_TOUCHES, (1 + more) * data, arm.prior_information)
+            yield CureOutcome(kind, f"{EXTRA_TOUCHES} {how}", EXTRA_TOUCHES, (1 + more) * data, prior)
         return
-    field = _field(arm, at)
+    field = _field(bound, x)
     pools: dict[Cell | None, Samples | None] = {None: samples}
     for offer in more_samples(bound.problem) if touched is None else offers(bound, touched):
         if offer.cell not in pools and touched is not None and offer.cell is not None:

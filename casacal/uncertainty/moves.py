@@ -90,9 +90,9 @@ class PriorScatter:
 
 
 def prior_scatter(bound: BoundProblem, *, flat_counts: bool = False) -> PriorScatter:
-    """The scatter at the nominal; a flat prior of the arm counts as none, so that it is never overstated.
+    """The scatter at the nominal; the arm's priors alone count and flat ones not, so that it is never overstated.
 
-    Where it must not be understated, `flat_counts`, a flat prior counts as wide as filters start it.
+    Where it must not be understated, `flat_counts`, the tool's count as well, and flat ones as wide as filters start.
     """
     held = {slot.key for slot in bound.slots if slot.datum and slot.held_as_drawn}
     if held:  # just where the drawn arm has it: it took over that arm's errors, as if it had been fitted
@@ -104,6 +104,8 @@ def prior_scatter(bound: BoundProblem, *, flat_counts: bool = False) -> PriorSca
     stands = bound.datum.copy()  # faces, and what else is of one label alone, such as where a dial was set to zero
     for slot in bound.slots:
         stands[slot.columns] |= slot.label is not None
+        if not flat_counts and slot.key not in bound.problem.robot.parameters:
+            stds = np.where(np.isin(np.arange(len(stds)), slot.columns), np.inf, stds)
     arm = ~stands & np.isfinite(stds)
     moved, planes = slopes[:, arm] * stds[arm], slopes[:, stands]
     left = moved - planes @ np.linalg.lstsq(planes, moved, rcond=None)[0]

@@ -12,7 +12,9 @@ from casacal import Problem, bind, calibrate, check, dial_cycle, dial_gain, lm, 
 from casacal.calibration.result_json import calibration_document
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
+from casacal.effects import kit
 from casacal.effects.selection import dial_errors, effect_sizes_of, with_effects
+from casacal.effects.trusted import TrustedConstants, leverages
 from casacal.files import jsonable
 from casacal.kernels.losses import huber
 from casacal.uncertainty.noise import found_noise
@@ -25,7 +27,7 @@ def faulty(source, fault, seed):
     samples = simulate(source.problem, dataclasses.replace(source.cell, **changes), samples=120, seed=seed).samples
     reading = samples.columns["reading"]
     if fault.endswith("gain"):
-        reading = reading / (1.0025 if fault.startswith("small") else 1.004)
+        reading = reading / {"small gain": 1.0025, "large gain": 1.006}.get(fault, 1.004)
     if fault == "cycle":
         reading = reading - 0.012 * np.sin(2 * math.pi * reading + 1)
     if fault == "drift":
@@ -101,8 +103,12 @@ def test_chance_and_size_are_those_of_a_second_fit(hsr):
     drawn = reading - bound.plain_residual(bound.x0) / slope
     column = slope * drawn / 100 / bound.noise
     prior = np.where(np.isfinite(bound.prior_std), 1 / bound.prior_std, 0.0)
-    rows = np.vstack([bound.jacobian(result.x), np.diag(prior)])
-    right = -np.concatenate([bound.residual(result.x), prior * (result.x - bound.x0)])
+    gain = bound.names.index("trusted_gain")  # which the test holds at zero, to ask for it without a prior
+    slopes, away = bound.jacobian(result.x), result.x - bound.x0
+    residual = bound.residual(result.x) - slopes[:, gain] * away[gain]
+    slopes, prior, away = (np.delete(each, gain, axis=-1) for each in (slopes, prior, away))
+    rows = np.vstack([slopes, np.diag(prior)])
+    right = -np.concatenate([residual, prior * away])
     more = np.column_stack([rows, np.concatenate([column, np.zeros(len(prior))])])
     solution = np.linalg.lstsq(more, right, rcond=None)[0]
     without = float(((rows @ np.linalg.lstsq(rows, right, rcond=None)[0] - right) ** 2).sum())
@@ -118,7 +124,8 @@ def _read(samples, reading):
 
 def test_what_a_wrong_gain_does_to_the_tip(hsr):
     """A fit to rows with another gain, by hand."""
-    bound, result = fitted(hsr, faulty(hsr, "gain", 2))
+    exact = hsr.problem.with_terms(*(each for each in kit() if not isinstance(each, TrustedConstants)))
+    bound, result = fitted(hsr, faulty(hsr, "gain", 2), exact)
     samples, joints = bound.block.samples, workspace_joints(hsr.problem.robot)
     tips = bound.tips(result.x, joints)
     changed = bound.on(_read(samples, samples.columns["reading"] * 1.0001))
@@ -126,6 +133,11 @@ def test_what_a_wrong_gain_does_to_the_tip(hsr):
     by_hand = tip_rms(without_rigid(moved.ravel(), tips)) / 0.01
     (found,) = [error for error in dial_errors(bound, result.x) if error.key == "gain"]
     assert found.tip_mm / found.size == pytest.approx(by_hand, rel=0.05)
+    bound, result = fitted(hsr, faulty(hsr, "gain", 2))
+    (doubted,) = [error for error in dial_errors(bound, result.x) if error.key == "gain"]
+    assert doubted.size == pytest.approx(found.size, rel=0.05), "a prior in the fit does not hide it"
+    (worth,) = [each for each in leverages(bound, result) if each.name == "gain"]
+    assert worth.tip_mm == pytest.approx(0.15 * by_hand, rel=0.05)
 
 
 def test_a_calibration_says_it(hsr, tmp_path):
@@ -152,9 +164,11 @@ def test_a_calibration_says_it(hsr, tmp_path):
 
 
 def test_a_calibration_warns_of_a_dial_that_is_off(hsr):
-    found = calibrate(hsr, faulty(hsr, "small gain", 11), method="lm", reference=False)
-    assert [error.key for error in found.dial_errors if error.shown] == ["gain"]
-    assert any("gain of the dial" in reason for reason in verdict_of(found).reasons)
+    small, large = (calibrate(hsr, faulty(hsr, f"{how} gain", 11), reference=False) for how in ("small", "large"))
+    for found in (small, large):
+        assert [error.key for error in found.dial_errors if error.shown] == ["gain"]
+    assert any("gain of the dial" in reason for reason in verdict_of(large).reasons)
+    assert verdict_of(small).level == "calibrated", "its prior covers it"
 
 
 @pytest.mark.parametrize(("fault", "fix"), [("small gain", "dial_gain(0.15)"), ("form", "Clean the faces")])

@@ -186,7 +186,7 @@ def _hyper(found):
     """Logarithm of the hyper-priors: log-normal about sizes to expect, wider below, and about the noise as stated."""
     apart = []
     for effect in found.rows.problem.terms:
-        if effect.key in found.times:
+        if effect.key in found.times and effect.doubt > 1:
             times = found.times[effect.key]
             doubt = effect.doubt if times > 1 else max(effect.doubt, min(effect.doubt**2, 6.0))
             apart.append(math.log(times) / math.log(doubt))

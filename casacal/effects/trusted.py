@@ -1,0 +1,154 @@
+"""Constants that instruments take for exact, such as a dial's gain: unknowns with the prior of their class."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+
+from casacal.effects.effect import Effect
+from casacal.fit.bound_problem import BoundProblem
+from casacal.fit.least_squares import Result
+from casacal.model.instrument import Trusted
+from casacal.model.kinematics import Expression
+from casacal.model.problem import Problem
+from casacal.model.term import Here, Site
+from casacal.model.unknown import Parameter
+from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
+from casacal.wording import sized
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrustedConstants(Effect):
+    """What `Instrument.trusted` names, each as wrong as its class allows: r(x, c) with c ~ N(c0, std^2).
+
+    An error of such a constant leaves next to nothing in the residuals, because the arm's lengths imitate it: nothing
+    in the rows would widen an interval that takes it for exact. Its prior does.
+
+    Args:
+        size: times the standard deviations that the instrument states.
+
+    """
+
+    size: float = 1.0
+    doubt: float = 1.0
+
+    moves = False
+    key = "trusted"
+    words = "constants of the instrument"
+
+    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
+        """Errors in standard deviations, by the name of each constant; a direction has two."""
+        labels = [f"_{name}" for name, _, count in _constants(site) for name in _numbered(name, count)]
+        if not labels:
+            return {}
+        return {self.key: Parameter([0.0] * len(labels), unit="1", prior_std=self.size, labels=labels)}
+
+    def reading(self, here: Here) -> Mapping[str, Expression]:
+        """Corrections of columns that err in proportion."""
+        found: dict[str, Expression] = {}
+        for constant, u in self._errors(here):
+            for column in constant.scales:
+                found[column] = found.get(column, 0.0) + getattr(here.row, column) * u * constant.std / 100
+        return found
+
+    def residual(self, here: Here) -> Expression | None:
+        """Change of the residual where held unknowns stand elsewhere."""
+        shifted = {constant.shifts: u * constant.std for constant, u in self._errors(here) if constant.shifts}
+        if not shifted:
+            return None
+        p = SimpleNamespace(**vars(here.p))
+        for key, by in shifted.items():
+            unknown = here.instrument.unknowns[key]
+            freed, nominal = unknown.freed(), ca.DM(np.asarray(unknown.nominal))
+            moved = freed.at(nominal, by) - freed.at(nominal, ca.DM.zeros(freed.size))
+            setattr(p, key, getattr(p, key) + moved)
+        moved_residual, residual = (here.instrument.residual(here.pose, values, here.row) for values in (p, here.p))
+        return moved_residual - residual
+
+    def _errors(self, here: Here) -> list[tuple[Trusted, Expression]]:
+        """Each constant with its errors, in standard deviations."""
+        u, first, found = getattr(here.p, self.key), 0, []
+        for _, constant, count in _constants(here):
+            found.append((constant, u[first : first + count]))
+            first += count
+        return found
+
+
+CONSTANTS = TrustedConstants()  # one value, so that what was compiled with it is known again
+
+
+def with_constants(problem: Problem) -> Problem:
+    """A problem in which the trusted constants are unknowns, beside its own terms."""
+    if CONSTANTS in problem.terms or not any(instrument.trusted for instrument in problem.instruments):
+        return problem
+    return problem.with_terms(*problem.terms, CONSTANTS)
+
+
+def _constants(site: Site) -> list[tuple[str, Trusted, int]]:
+    """Name, constant, and how many numbers it has."""
+    instrument = site.instrument
+    return [
+        (name, each, instrument.unknowns[each.shifts].freed().size if each.shifts else 1)
+        for name, each in instrument.trusted.items()
+    ]
+
+
+def _numbered(name: str, count: int) -> list[str]:
+    return [name] if count == 1 else [f"{name}{i}" for i in range(1, count + 1)]
+
+
+@dataclass(frozen=True)
+class Leverage:
+    """What a constant that an instrument takes for exact is worth at the tip.
+
+    std: of its error, as taken, in `unit`. tip_mm: by how much the estimate of the tip moves, mm RMS over the workspace
+    apart from the position of the base, where the constant errs by that and everybody takes it for exact. left_mm: the
+    part of the expected tip error that comes from it, as far as the rows themselves have narrowed it down.
+    """
+
+    name: str
+    words: str
+    std: float
+    unit: str
+    tip_mm: float
+    left_mm: float
+    cure: str
+
+    @property
+    def within(self) -> str:
+        """The constant and how far it is relied on, such as "the dial's gain within 0.15 %"."""
+        return f"{self.words} within {sized(self.std, self.unit)}"
+
+
+def leverages(fit: BoundProblem, result: Result) -> tuple[Leverage, ...]:
+    """Leverage of every trusted constant of a fit, the largest first; none where geometry was taken for all there is.
+
+    H (J'J + Lambda)^-1 J' dr/du times the standard deviation of u, the other constants exact: the regression of the
+    tip on u, H cov(x, u) / var(u), in the covariance given these.
+    """
+    constants = [j for j, key in enumerate(fit.beside) if key == TrustedConstants.key]
+    if not constants:
+        return ()
+    joints = workspace_joints(fit.problem.robot)
+    field = without_rigid(fit.tip_jacobian(result.x, joints), fit.tips(result.x, joints))
+    covariance = np.where(np.isfinite(result.covariance), result.covariance, 0.0)
+    moved = {}
+    for j in constants:
+        rest = [k for k in constants if k != j]
+        known = np.linalg.solve(covariance[np.ix_(rest, rest)], covariance[np.ix_(rest, [j])])
+        slope = covariance[:, j] - (covariance[:, rest] @ known)[:, 0]
+        each = tip_rms(field @ slope) / slope[j]
+        moved[j] = each * np.array([fit.prior_std[j], math.sqrt(covariance[j, j])])
+    found, columns = [], iter(constants)
+    for i, instrument in enumerate(fit.problem.instruments):
+        for name, constant, count in _constants(Site(fit.problem.robot, instrument)):
+            whole, left = np.linalg.norm([moved[next(columns)] for _ in range(count)], axis=0)
+            full = fit.problem.prefix(i) + name
+            figures = float(whole), float(left)
+            found.append(Leverage(full, constant.words, constant.std, constant.unit, *figures, constant.cure))
+    return tuple(sorted(found, key=lambda each: -each.left_mm))
