@@ -330,9 +330,15 @@ def table_of(source: ProblemFile, options: argparse.Namespace) -> float:
     return 0.0 if source.cell is None else source.cell.table
 
 
-def on_table(source: ProblemFile, options: argparse.Namespace) -> ProblemFile:
-    """The cell with the table that was named, and faces above it where the problem file has no cell of its own."""
-    from casacal.simulation.cell import Disturbances
+TILT = "--tilt DEG", "largest angle between plunger and face normal; default: 30, or as the problem's cell has it"
+
+
+def in_cell(source: ProblemFile, options: argparse.Namespace, *, tilt: float | None = None) -> ProblemFile:
+    """The cell with table and tilt (degrees) as named, and faces above it where the file has no cell of its own.
+
+    Raises CasacalError for a tilt where no faces are touched.
+    """
+    from casacal.simulation.cell import Cell, Disturbances
     from casacal.simulation.touches import default_cell
 
     problem = source.problem
@@ -340,7 +346,11 @@ def on_table(source: ProblemFile, options: argparse.Namespace) -> ProblemFile:
     table, cell = table_of(source, options), source.cell
     if cell is None:
         cell = default_cell(problem.measured_by(faced[0]), table=table) if faced else Disturbances(table=table)
-    return replace(source, cell=replace(cell, table=table))
+    if tilt is not None and not isinstance(cell, Cell):
+        what = f"--tilt is about faces, and {type(problem.instrument).__name__} touches none"
+        raise CasacalError(what, "Leave it out")
+    cell = replace(cell, table=table)
+    return replace(source, cell=cell if tilt is None else replace(cell, tilt=math.radians(tilt)))
 
 
 def add_clearance(parser: argparse.ArgumentParser) -> None:

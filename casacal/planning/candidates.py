@@ -107,6 +107,7 @@ def _solid(face: Face) -> Solid:
 
 ROUNDS = 20  # times that more touches are drawn where some do not keep clear
 RARE = 0.05  # part of all that must keep clear, or a plan makes no sense
+JUDGED = 100  # touches that must have been tried before so small a part is believed
 
 
 def refuse_several(problem: Problem, what: str, fix: str, box: Box | None, targets: object) -> None:
@@ -169,7 +170,7 @@ def pool_of(
         refuse_cell(problem, probe, still)
     while (missing := count - sum(map(len, found))) > 0:
         share = max((count - missing) / tried, RARE) if tried else 1.0
-        number = min(math.ceil(1.1 * missing / share), count)
+        number = min(math.ceil(1.1 * missing / share), max(count, JUDGED))
         draw = Draw(seed + 7919 * len(found))
         if probe is not None and isinstance(still, Cell):
             drawn, *_ = touched_rows(problem, probe, still, number, draw, starts)
@@ -181,7 +182,7 @@ def pool_of(
             clear &= ~rows
             in_way[f"{part} against {other}"] = in_way.get(f"{part} against {other}", 0) + int(rows.sum())
         found.append(drawn.take(np.flatnonzero(clear)))
-        if len(found) == ROUNDS or sum(map(len, found)) < RARE * tried:
+        if len(found) == ROUNDS or (tried >= JUDGED and sum(map(len, found)) < RARE * tried):
             break
     else:
         pool = reduce(joined, found).take(range(count))
@@ -194,6 +195,25 @@ def pool_of(
     what = f"Only {few} of {tried} reachable touches{of_it} keep clear above the table at z = {still.table:g} mm"
     what += f". In the way: {named}"
     raise CasacalError(what, "Move the faces, make --keep-out or --link-radius smaller, or say where --table is")
+
+
+THIN = 1e-3  # mm; radius of links of which nothing is known: their axes alone must keep clear
+ROUNDED = 1.0  # mm by which a posture as a plan's file shows it may be lower than it was planned
+
+
+def hindered(problem: Problem, samples: Samples, cell: Disturbances, clearance: Clearance) -> dict[int, str]:
+    """What of the drawn arm is below the table, in a box or in the arm itself, by row; rows that keep clear are absent.
+
+    For postures from elsewhere, such as a plan that was edited: faces, which may stand elsewhere by now, are not looked
+    at, and links are thin unless the clearance says more.
+    """
+    thin = replace(clearance, link_radius=THIN) if clearance.link_radius is None else clearance
+    around = thin.around(problem.robot, Disturbances(table=cell.table - ROUNDED, keep_out=cell.keep_out))
+    found = dict[int, str]()
+    for part, other, rows in around.collisions(samples.joints, nominal_tips(problem, 0, samples)):
+        for k in np.flatnonzero(rows).tolist():
+            found[k] = f"{found[k]}, {part} against {other}" if k in found else f"{part} against {other}"
+    return found
 
 
 def _rare_face(pool: Samples, cell: Disturbances, probe: Probe | None) -> tuple[str, int] | None:

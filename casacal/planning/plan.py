@@ -335,6 +335,8 @@ def _in_all(problem: Problem, pool: Samples, fitted: int, again: float, check: f
 
 FLAT = 0.93  # error over that of fewer touches above which more bring little
 
+HARDLY = "hardly a touch can be made"  # where faces are out of reach, or what stands around is in the way
+
 ENDS = 0.7  # error of all candidates over that of a number, below which a flat part is not the end of the curve
 
 
@@ -362,13 +364,14 @@ def plan_sentences(
     said = []
     if better := worth_most(compared) if compared else None:
         best, now = better
-        now_is = f"{now.error:.3g} mm as it is" if math.isfinite(now.error) else "this one is out of reach"
+        now_is = f"{now.error:.3g} mm as it is" if math.isfinite(now.error) else f"{HARDLY} as it is"
         said.append(
             f"Consider another set-up first ({best.words}): with {fitted} fitted touches of {POOL} candidates it "
             f"leaves {best.error:.3g} mm, {now_is}"
         )
     said += [
-        f"{len(plan)} touches: {fitted} to fit, {again} of them once more, {check} kept to verify",
+        f"{len(plan)} touches: {fitted} to fit, {again} of them once more, {check} kept to verify "
+        f"({check / len(plan):.0%})",
         f"Expect a tip error of {plan.error:.3g} mm RMS {where}, apart from the position of the base, if the stated "
         "noise and priors are right; effects beside the geometry are not counted",
         f"{without}: {alone}; the same number at random: {plan.at_random:.3g} mm; all {pool} candidates: "
@@ -383,8 +386,8 @@ def plan_sentences(
             f"compare with one another, not with the plan above, chosen of {pool}:"
         )
     for each in compared if every else ():
-        reach = "this arm cannot touch it" if math.isinf(each.error) else f"{each.error:.3g} mm"
-        said.append(f"  {reach}: {each.words}")
+        reach = HARDLY if math.isinf(each.error) else f"{each.error:.3g} mm"
+        said.append(f"  {reach}: {each.words}{f' ({each.option})' if each.option.count('--') == 1 else ''}")
     return said
 
 
@@ -422,7 +425,13 @@ def cell_words(plan: Plan, problem: Problem, clearance: Clearance | None) -> lis
         place = f"centre ({x:.0f}, {y:.0f}, {z:.0f}) mm, normal ({u:.3f}, {v:.3f}, {w:.3f}), {wide:.0f} x {deep:.0f} mm"
         off = each["off_mm"]
         may = "" if off is None else f"; may stand off by {off[0]:+.1f} to {off[1]:+.1f} mm along its normal"
+        may = may if each["touches"] else "; left out, no touch is planned on it"
         said.append(f"Face {each['label']}: {place}{may}")
+    if not all(each["touches"] for each in faces):
+        said.append(
+            "A face is left out where the few touches that it would get could only say where it stands, while other "
+            "faces tell more of the arm. More touches may take it in"
+        )
     if faces:
         said.append(
             "Places are in the base frame. Where a real face stands further off, bring the tip to it along the plunger "
@@ -451,7 +460,9 @@ def document(
     found["collisions"] = around.words
     found["faces"] = where_faces_stand(plan, problem)
     if compared:
-        found["setups"] = [{"words": each.words, "expected_mm": each.error} for each in compared]
+        found["setups"] = [
+            {"words": each.words, "expected_mm": each.error, "option": each.option or None} for each in compared
+        ]
     return found
 
 

@@ -411,8 +411,8 @@ def test_without_a_number_the_plan_chooses_one_and_names_the_set_up_that_is_wort
 
 
 def test_a_set_up_that_is_hardly_better_is_not_offered(hsr):
-    as_it_is = SetUp("now", hsr.problem, hsr.cell, 1.0, as_it_is=True)
-    better = SetUp("other", hsr.problem, hsr.cell, 0.8)
+    as_it_is = SetUp("now", hsr.problem, hsr.cell, 1.0)
+    better = SetUp("other", hsr.problem, hsr.cell, 0.8, "--tilt=45")
     assert worth_most([as_it_is, better]) is None
     best, now = worth_most([as_it_is, dataclasses.replace(better, error=0.5)])
     assert (best.words, now.words) == ("other", "now")
