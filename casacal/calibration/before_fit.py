@@ -23,7 +23,7 @@ from casacal.model.instrument import OVERTRAVEL, Probe, readings_within
 from casacal.model.problem import Problem
 from casacal.model.robot import random_joints
 from casacal.values import Array, Rows
-from casacal.wording import counted, shortened
+from casacal.wording import counted, figures, shortened
 
 OUTSIDE, OUT_OF_LIMITS = "readings outside travel", "readings outside limits"
 SHOWN_UNITS = {"angle": " degrees", "length": " mm", "number": ""}
@@ -132,7 +132,7 @@ def rounded(bound: BoundProblem) -> list[Finding]:
             shown = f"{math.degrees(step):g} degrees" if kind == "revolute" else f"{step:g} mm"
             cause = (
                 f"joints {', '.join(str(i + 1) for i in coarse)} are written in steps of {shown}, which moves the "
-                f"tip by up to {effect:.2g} mm; the stated noise is {noise:.2g} mm"
+                f"tip by up to {figures(effect, 2)} mm; the stated noise is {figures(noise, 2)} mm"
             )
             fix = "Log the joints with more digits, or declare the joint repeatability"
             findings.append(Finding("error" if effect > 2 * noise else "warning", "joints rounded", cause, fix))
@@ -433,7 +433,7 @@ def in_metres(problem: Problem, samples: Samples) -> list[Finding]:
     extent = float(np.linalg.norm(np.ptp(nominal_sight(problem, 0, anywhere).poses[:, :3, 3], axis=0)))
     if not IN_METRES[0] < extent < IN_METRES[1]:
         return []
-    cause = f"in any postures the flange stays within {extent:.2g} mm, so the arm's lengths seem to be metres"
+    cause = f"in any postures the flange stays within {figures(extent, 2)} mm, so the arm's lengths seem to be metres"
     return [Finding("error", "arm in metres", cause, "Write them, and what the pose function returns, in mm")]
 
 

@@ -50,7 +50,7 @@ from casacal.uncertainty.figures import noise_interval
 from casacal.uncertainty.moves import prior_scatter
 from casacal.uncertainty.noise import found_noise
 from casacal.values import Array, Index
-from casacal.wording import listed, sized, times
+from casacal.wording import figures, listed, sized, times
 
 COUNTED = "Calibrate anyway: the kit of effects accounts for this"
 
@@ -92,7 +92,7 @@ def _shown(bound: BoundProblem, x: Array) -> Iterator[tuple[str, str, str, str]]
     """Key, words, evidence and size of what rows show at the minimum x (n,): of the dial, and of the arm."""
     for error in dial_errors(bound, x):
         if error.shown:
-            size = f"{error.shown_size}, which moves the tip by {error.tip_mm:.2g} mm RMS"
+            size = f"{error.shown_size}, which moves the tip by {figures(error.tip_mm, 2)} mm RMS"
             yield error.key, error.words, f"p = {error.chance:.1g}", size
     for each in effect_sizes_of(bound, x):
         if each.shown and each.size > each.expected_size:

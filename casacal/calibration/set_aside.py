@@ -23,7 +23,7 @@ from casacal.model.problem import Problem
 from casacal.uncertainty.figures import leverages
 from casacal.uncertainty.moves import prior_scatter
 from casacal.values import Array, Index, Rows
-from casacal.wording import counted
+from casacal.wording import counted, figures
 
 FEWEST_OF_A_FACE = 12  # rows of a face that can tell how rough it is
 WORTH_A_LOOK = 0.05
@@ -133,7 +133,7 @@ def single_rows(bound: BoundProblem, result: Result, found: Outliers) -> list[Fi
             dial = f"{counted(abs(turned), 'turn')} of a pointer that shows {abs(by / turned):g} mm"
             fix = "Measure again, or correct the reading if the pointer was misread"
             lines = tuple(sorted(samples.lines[k] for k in rows))
-            cause = f"with {by:+.3g} mm added to the reading {fits}: {dial}"
+            cause = f"with {figures(by, signed=True)} mm added to the reading {fits}: {dial}"
             findings.append(Finding("error", "lost revolution", cause, fix, lines, name))
         explained = {k for rows in turns.values() for k in rows}
         if angle := _turned_alone(bound, result, own, found.limit * found.scale, i):

@@ -23,7 +23,7 @@ from casacal.cli.common import (
 )
 from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
-from casacal.wording import METRE, UNBOUNDED, counted, listed, shortened
+from casacal.wording import METRE, UNBOUNDED, counted, figures, listed, shortened
 
 if TYPE_CHECKING:
     from casacal.data.samples import Samples
@@ -173,7 +173,8 @@ def _compared(route: Route | None, simulation: Simulation, robot: Robot) -> tupl
     apart = np.abs(made.joints - route.samples.joints[np.array(made.lines) - 1])
     apart = (np.where(robot.revolute, np.degrees(apart), apart / 10)).max(axis=1)
     if moved := int((apart > SHOWN).sum()):
-        most = f"{apart.max():.2g} degrees" + ("" if robot.revolute.all() else f", or {10 * apart.max():.2g} mm")
+        or_mm = "" if robot.revolute.all() else f", or {figures(10 * apart.max(), 2)} mm"
+        most = f"{figures(apart.max(), 2)} degrees{or_mm}"
         text = f"{counted(moved, 'posture')} moved by up to {most}, until the tip touched"
         remarks = [text + (" within the travel of the dial" if made.columns else "")]
         if apart.max() > MOVED:
