@@ -165,6 +165,8 @@ def check(problem: Problem, samples: Samples | Measurements, *, confirmed: bool 
 def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding]:
     """Findings on the samples of a problem's only instrument."""
     lost, samples = lost_targets(problem, samples)
+    if not len(samples):
+        return lost
     findings = [*lost, *repeated(samples), *outside(problem, samples)]
     findings += [*absent_labels(problem, samples), *odd_labels(problem, samples), *lost_steps(problem, samples)]
     samples = without_copies(samples)  # as calibrate takes them
@@ -275,7 +277,8 @@ def _unexplained(problem: Problem, samples: Samples, base: float, findings: list
         "be the cause"
     )
     if base > EXPLAINED:  # more than any arm errs
-        fix = "Check labels, columns and DH table; casacal doctor compares the table with poses on the pendant"
+        first = f"See that {listed(still)} was read anew in each row. " if still else ""
+        fix = f"{first}Check labels, columns and DH table; casacal doctor compares the table with poses on the pendant"
         probe = problem.instrument.probe
         if probe is not None and probe.column is not None and _better_turned(problem, samples, base):
             fix = f"Try the dial's sign first (--set sign={-probe.sign}). {fix}. Do not delete rows"

@@ -40,6 +40,8 @@ ALSO_CALLED = {"plane": ("face", "faces", "surface", "side", "wall", "plate", "p
 LARGEST = {"angle": 20 * math.pi, "length": 1e5, "number": math.inf}
 """Beyond ten turns or a hundred metres a value is absurd whatever the robot."""
 
+UNREAD = 1e12  # mm; what is beyond it is no length in another unit, but a device's sign that it read nothing
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -317,6 +319,7 @@ class Samples(Value):
                 limit = "100 m" if largest == LARGEST["length"] else "10 turns"
                 what = f"{columns.cell(column, row)} is absurd (beyond {limit})"
                 fix = "Check the value and the unit in the column's name"
+                fix += "; devices write such numbers where they read nothing" if np.abs(place[row]) > UNREAD else ""
                 also = [int(columns.lines[k]) for k in further]
                 raise SamplesError(columns.file, what, fix, line=columns.lines[row], column=column, also=also)
             place.setflags(write=False)
