@@ -18,9 +18,10 @@ from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.data.samples import write_samples
 from casacal.deployment.arm import CalibratedArm
+from casacal.errors import ProblemError
 from casacal.planning import handouts as ways_of
 from casacal.planning.handouts import program_text
-from casacal.planning.plan import plan_sentences
+from casacal.planning.plan import plan_sentences, plan_text
 from casacal.planning.set_ups import SetUp
 from casacal.shopfloor import Session
 from casacal.shopfloor.known import Alarm, SessionState, Suspected
@@ -201,6 +202,20 @@ def test_a_number_that_is_none_is_said_with_what_is_allowed(tmp_path, capsys):
         with pytest.raises(CasacalError, match=rf"Got {tolerance:g} as the tolerance\. Give a positive number of mm"):
             Session(load_problem(HSR).problem, tolerance=tolerance)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_file_in_the_wrong_place_is_answered_with_the_right_one(hsr, small, tmp_path, capsys):
+    """A plan in place of samples; the folder of problems, or the samples, in place of a problem."""
+    file = tmp_path / "plan.csv"
+    file.write_text(plan_text(small, hsr.problem, "hsr"))
+    for command in ("check", "calibrate"):
+        assert main([command, str(HSR), str(file)]) == 2
+        assert "this is a plan, which expects a reading and holds none. Give what was" in capsys.readouterr().err
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "problem.py").write_text("")
+    for path in (tmp_path, tmp_path / "mine" / "samples.csv"):
+        with pytest.raises(ProblemError, match=rf"known here: .*{tmp_path.name}/mine"):
+            load_problem(path)
 
 
 def test_problems_of_this_project_need_no_session():

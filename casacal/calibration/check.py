@@ -38,7 +38,7 @@ from casacal.calibration.numbers import (
     wrong_scale,
 )
 from casacal.calibration.patterns import CONVENTIONS
-from casacal.calibration.set_aside import off_their_face, robust_fit, single_rows, studentised_outliers
+from casacal.calibration.set_aside import gross, off_their_face, robust_fit, single_rows, studentised_outliers
 from casacal.data.repeats import without_copies
 from casacal.data.samples import Measurements, Samples
 from casacal.effects.selection import dial_errors, effect_sizes_of, with_effects
@@ -359,6 +359,11 @@ def _of_several(problem: Problem, measured: Measurements, confirmed: bool) -> li
         return [Finding("error", UNBOUND, error.what, error.fix), *found]
     found += enough_rows(bound)
     if all(finding.severity != "error" for finding in found):
-        found += contradictions(bound, measured)
+        try:  # single rows that an instrument of few rows alone does not show, as calibrate sets them aside
+            bad, aside = gross(bound)
+            bound = bind(problem, *measured.take(np.flatnonzero(~bad)).sets) if bad.any() else bound
+        except CasacalError:  # half the rows of an instrument: no single ones
+            aside = ()
+        found += [*aside, *contradictions(bound, bound.measured)]
         found += [] if confirmed else _image(bound)  # what one instrument alone leaves open, another may tell
     return found

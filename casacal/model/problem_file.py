@@ -136,7 +136,8 @@ def load_problem(path: str | Path) -> ProblemFile:
     if file.is_dir():
         file = file / "problem.py"
     if not file.is_file():
-        near = sorted(p.parent.as_posix() for p in Path("problems").glob("*/problem.py"))
+        below = [each for place in (Path(path), Path("problems")) for each in place.glob("*/problem.py")]
+        near = sorted({p.parent.as_posix() for p in (*Path(path).parent.glob("problem.py"), *below)})
         known = f"; known here: {', '.join(near)}" if near else ""
         fix = f"Give a folder with a problem.py, or such a file{known}"
         raise ProblemError(f"There is no problem at '{path}'", fix)

@@ -103,7 +103,17 @@ class Answers:
         if math.hypot(*plate.centre) < NEAREST:
             what = f"Plate '{plate.label}' is {math.hypot(*plate.centre):.3g} mm from the base's origin"
             raise CasacalError(what, "Give mm in the base frame: 0.6 m are 600")
+        if plate.side < NEAREST:
+            raise CasacalError(f"Plate '{plate.label}' is {plate.side:g} mm wide", "Give its side in mm: 0.3 m are 300")
         table, unit = self.table or 0.0, np.array(plate.normal) / length
+        above, *beside = np.abs([unit, *tangent_basis(unit).T] @ np.array(plate.centre))
+        if above < LEAST_ROOM and max(beside) < plate.side / 2:
+            fix = "Give its middle in mm in the base frame, beside the base, or a smaller side"
+            raise CasacalError(f"Plate '{plate.label}' covers the origin of the base, where the arm stands", fix)
+        low, high = np.array(self.keep_out).reshape(-1, 3, 2).transpose(2, 0, 1)
+        if ((low < plate.centre) & (plate.centre < high)).all(axis=1).any():
+            what = f"The middle of plate '{plate.label}' is in a box that the arm keeps out of (--keep-out)"
+            raise CasacalError(what, "Make the box smaller, or put the plate elsewhere")
         lowest = plate.centre[2] - float(np.abs(tangent_basis(unit)[2]).sum()) * plate.side / 2
         if lowest < table - 1e-6:
             what = f"Plate '{plate.label}' reaches down to z = {lowest:.0f} mm, and the table is at {table:g} mm"

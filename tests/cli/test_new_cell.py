@@ -146,6 +146,12 @@ def test_boxes_to_keep_out_of_are_kept_and_obeyed(made, tmp_path, capsys):
         (["--keep-out", "50:inf,0:100,0:100"], "Give numbers of mm"),
         (["--keep-out", "50:nan,0:100,0:100"], "--keep-out is 50:nan,0:100,0:100. Give numbers of mm"),
         (["--keep-out", "0:100,0:100,-inf:0"], "100000 is far enough"),
+        (["--plate", "a:25,-6,1:300"], "covers the origin of the base"),
+        (["--plate", "a:700,0,40:0.3"], "0.3 m are 300"),
+        (
+            ["--plate", "a:700,0,40:300", "--keep-out", "400:900,-400:400,0:500"],
+            "is in a box that the arm keeps out of",
+        ),
         (["--travel", "1e308"], "The dial's travel is 1e+308"),
         (["--tool", "0,0,1e308"], "Give three numbers of mm"),
         (["--table", "1e308"], "The table is at 1e+308 mm"),
