@@ -30,13 +30,7 @@ from casacal.calibration.faults import ALIKE, EXPLAINED, MOVED, SUSPICIOUS, Misf
 from casacal.calibration.finding import Finding, misfit, quick_fit
 from casacal.calibration.midway import changed_midway, labels_exchanged
 from casacal.calibration.mirror import mirror_image
-from casacal.calibration.numbers import (
-    tool_elsewhere_at,
-    tool_keys,
-    without_its_likes,
-    wrong_number,
-    wrong_scale,
-)
+from casacal.calibration.numbers import tool_elsewhere_at, tool_keys, without_its_likes, wrong_number, wrong_scale
 from casacal.calibration.patterns import CONVENTIONS
 from casacal.calibration.set_aside import gross, off_their_face, robust_fit, single_rows, studentised_outliers
 from casacal.data.repeats import without_copies
@@ -280,16 +274,11 @@ def _unexplained(problem: Problem, samples: Samples, base: float, findings: list
         first = f"See that {listed(still)} was read anew in each row. " if still else ""
         fix = f"{first}Check labels, columns and DH table; casacal doctor compares the table with poses on the pendant"
         probe = problem.instrument.probe
-        if probe is not None and probe.column is not None and _better_turned(problem, samples, base):
-            fix = f"Try the dial's sign first (--set sign={-probe.sign}). {fix}. Do not delete rows"
+        if probe is not None and probe.column is not None:  # what is wrong beside the sign then shows
+            turned = problem.with_settings({"sign": -probe.sign})
+            better = misfit(turned, _few_of_each_face(problem, samples)) < base
+            fix = f"Try the dial's sign first (--set sign={-probe.sign}). {fix}. Do not delete rows" if better else fix
     return Finding("error", "misfit", cause, fix)
-
-
-def _better_turned(problem: Problem, samples: Samples, base: float) -> bool:
-    """Whether the dial's other sign leaves a smaller misfit: what is wrong beside it then shows."""
-    probe = problem.instrument.probe
-    assert probe is not None
-    return misfit(problem.with_settings({"sign": -probe.sign}), _few_of_each_face(problem, samples)) < base
 
 
 def _tried(problem: Problem) -> list[str]:

@@ -364,11 +364,12 @@ def add_clearance(parser: argparse.ArgumentParser) -> None:
     add(parser, "--link-radius MM", words, kind=float)
 
 
-def clearance_of(options: argparse.Namespace) -> Clearance:
-    """Clearance from --keep-out and --link-radius."""
+def clearance_of(options: argparse.Namespace, source: ProblemFile | None = None) -> Clearance:
+    """Clearance from --keep-out and --link-radius, and from the boxes of a problem file's cell where it is given."""
     from casacal.planning.candidates import Clearance
 
     radius = options.link_radius
     if radius is not None and radius and radius < THINNEST:
         raise CasacalError(f"--link-radius is {radius:g} mm, which no link is", "Give mm: 0.05 m are 50")
-    return Clearance(tuple(box_of(text, option="--keep-out") for text in options.keep_out), radius)
+    boxes = tuple(box_of(text, option="--keep-out") for text in options.keep_out)
+    return Clearance((*boxes, *(() if source is None or source.cell is None else source.cell.keep_out)), radius)

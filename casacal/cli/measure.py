@@ -58,13 +58,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Hold a session; returns 0, or 1 where a tolerance is not met."""
     from casacal.model.problem_file import load_problem
+    from casacal.planning.candidates import hindered
     from casacal.shopfloor.gauges import SerialLine, gauge
 
     source = common.of_instrument(load_problem(options.problem), options.instrument)
     common.spare([options.out], *(file.path for file in source.files), options.plan, options.targets, own=True)
     meter = gauge(options.gauge, pattern=options.pattern, unit=options.unit, asks=options.ask)
     session, file = _begun(source if options.table is None else common.in_cell(source, options), options)
-    hit = _hindered(session, source, options)
+    assert session.plan is not None
+    clearance = common.clearance_of(options, source)
+    hit = hindered(session.problem, session.plan.samples, common.table_of(source, options), clearance)
     if options.serial is None:
         session = _held(session, file, meter, None, hit)
     else:
@@ -107,17 +110,6 @@ def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, T
         session = session.resumed(touches)
         say_paragraphs(f"Going on after {len(touches)} touches of {Path(options.out).as_posix()}")
     return session, file
-
-
-def _hindered(session: Session, source: ProblemFile, options: argparse.Namespace) -> dict[int, str]:
-    """What is in the way of touches of the plan, by their numbers; a plan may have been edited."""
-    from casacal.planning.candidates import hindered
-    from casacal.simulation.cell import Disturbances
-
-    assert session.plan is not None
-    cell = replace(source.cell or Disturbances(), table=common.table_of(source, options))
-    found = hindered(session.problem, session.plan.samples, cell, common.clearance_of(options))
-    return {row + 1: words for row, words in found.items()}
 
 
 def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | None, hit: Mapping[int, str]) -> Session:

@@ -27,9 +27,7 @@ from casacal.wording import METRE, UNBOUNDED, counted, figures, listed, shortene
 
 if TYPE_CHECKING:
     from casacal.data.samples import Samples
-    from casacal.model.problem import Problem
     from casacal.model.problem_file import ProblemFile
-    from casacal.model.robot import Robot
     from casacal.planning.route import Route
     from casacal.simulation.cell import Disturbances
     from casacal.simulation.simulate import Simulation
@@ -101,8 +99,7 @@ def run(options: argparse.Namespace) -> int:
         spare([place, out.with_suffix(".truth.json")], *(file.path for file in source.files), options.plan)
     counts = _counts(source, options.samples) if route is None else route.samples
     simulation = simulate(source.problem, cell, samples=counts, seed=options.seed, session=options.session)
-    lost, warned, remarks = _compared(route, simulation, source.problem.robot)
-    warned += [] if route is None else _hindered(route, source.problem, cell)
+    lost, warned, remarks = _compared(route, simulation, cell)
     simulation, kept = _parted(simulation, route)
     before, after = planned_accuracy(bind(source.problem.without_terms, simulation.measured))
     paths = write_simulation(simulation, source, out, None if kept is None else (checks, kept))
@@ -158,13 +155,20 @@ SHOWN = 1e-3  # degrees, or hundredths of a mm, that a controller shows
 MOVED = 10.0  # degrees, or tens of mm, beyond which a posture is another one than the plan's
 
 
-def _compared(route: Route | None, simulation: Simulation, robot: Robot) -> tuple[list[int], list[str], list[str]]:
+def _compared(
+    route: Route | None, simulation: Simulation, cell: Disturbances
+) -> tuple[list[int], list[str], list[str]]:
     """Numbers of planned touches that the true arm cannot make, warnings, and remarks on postures that were moved."""
     import numpy as np
 
+    from casacal.planning.candidates import Clearance, hindered
+
     if route is None:
         return [], [], []
-    made, warned, remarks = simulation.samples, list[str](), list[str]()
+    made, robot, warned, remarks = simulation.samples, simulation.problem.robot, list[str](), list[str]()
+    if found := hindered(simulation.problem, route.samples, cell.table, Clearance(cell.keep_out)):
+        words = shortened((f"touch {number} ({hit})" for number, hit in found.items()), 6)
+        warned.append(f"an arm cannot be in these postures of the plan: {words}")
     if lost := sorted(set(range(1, len(route) + 1)) - set(made.lines)):
         warned.append(
             f"{counted(len(lost), 'touch')} of the plan cannot be made by the true arm within the range of "
@@ -180,15 +184,6 @@ def _compared(route: Route | None, simulation: Simulation, robot: Robot) -> tupl
         if apart.max() > MOVED:
             warned.append(f"{remarks.pop()}. The plan looks as if made for another arm, tool or cell")
     return lost, warned, remarks
-
-
-def _hindered(route: Route, problem: Problem, cell: Disturbances) -> list[str]:
-    """A warning of postures of a plan, perhaps edited, in which the drawn arm is where it cannot be."""
-    from casacal.planning.candidates import Clearance, hindered
-
-    found = hindered(problem, route.samples, cell, Clearance())
-    words = shortened((f"touch {row + 1} ({hit})" for row, hit in found.items()), 6)
-    return [f"an arm cannot be in these postures of the plan: {words}"] if found else []
 
 
 def _parted(simulation: Simulation, route: Route | None) -> tuple[Simulation, Samples | None]:

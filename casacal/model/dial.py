@@ -13,16 +13,7 @@ import numpy as np
 from casacal.data.columns import Dimension
 from casacal.errors import ProblemError
 from casacal.model.geometry import Direction, Frame, Plane, rotation_between, transform
-from casacal.model.instrument import (
-    Instrument,
-    Probe,
-    Sight,
-    Suspect,
-    Travel,
-    Words,
-    tool_point,
-    units_mistaken,
-)
+from casacal.model.instrument import Instrument, Probe, Sight, Suspect, Travel, Words, tool_point, units_mistaken
 from casacal.model.kinematics import Expression, rotation, transform_point
 from casacal.model.unknown import Parameter, Unknown, unit_vector
 from casacal.values import Array, FrozenMapping, is_real, plain

@@ -14,15 +14,7 @@ import numpy as np
 from casacal.data.columns import Dimension
 from casacal.errors import ProblemError, came
 from casacal.model.geometry import Frame, hand_eye, transform
-from casacal.model.instrument import (
-    COORDINATE,
-    Instrument,
-    ResidualBlock,
-    Sight,
-    Suspect,
-    Words,
-    units_mistaken,
-)
+from casacal.model.instrument import COORDINATE, Instrument, ResidualBlock, Sight, Suspect, Words, units_mistaken
 from casacal.model.kinematics import (
     Expression,
     chain,

@@ -339,13 +339,7 @@ ENDS = 0.7  # error of all candidates over that of a number, below which a flat 
 
 
 def plan_sentences(
-    plan: Plan,
-    compared: Sequence[SetUp],
-    *,
-    where: str,
-    pool: int,
-    after: bool,
-    every: bool = True,
+    plan: Plan, compared: Sequence[SetUp], *, where: str, pool: int, after: bool, every: bool = True
 ) -> list[str]:
     """Sentences: the set-up that is worth most, how many, what to expect, the curve and where it flattens.
 
