@@ -10,6 +10,8 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.errors import came
+
 Array: TypeAlias = NDArray[np.float64]
 """Numbers."""
 Rows: TypeAlias = NDArray[np.bool_]
@@ -139,6 +141,11 @@ def _state(value: Any) -> dict[str, Any]:
 def is_real(value: object) -> bool:
     """Whether something is one real number, Python's or NumPy's; True and False are none."""
     return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+
+
+def as_given(value: object) -> str:
+    """A value in a refusal: a number as it is, anything else by its type."""
+    return f"{value:g}" if is_real(value) else came(value)
 
 
 def is_finite(value: object) -> bool:

@@ -59,6 +59,11 @@ def times(ratio: float) -> str:
     return f"{ratio:,.0f}" if ratio >= 100 else f"{ratio:.2g}"
 
 
+def figures(value: float, count: int = 3, *, signed: bool = False) -> str:
+    """A number in so many significant figures, without an exponent: "0.0123", "120", "4570"."""
+    return f"{float(f'{value:.{count}g}'):{'+' if signed else ''}.9f}".rstrip("0").rstrip(".")
+
+
 def with_spread(value: float, spread: float, most: int) -> tuple[str, str]:
     """A signed number and its spread, with the decimals that leave the spread two figures, and no more than `most`."""
     decimals = min(max(1 - math.floor(math.log10(spread)), 0), most) if 0 < spread < math.inf else most

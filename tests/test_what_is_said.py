@@ -18,13 +18,14 @@ from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.data.samples import write_samples
 from casacal.deployment.arm import CalibratedArm
+from casacal.errors import ProblemError
 from casacal.planning import handouts as ways_of
 from casacal.planning.handouts import program_text
-from casacal.planning.plan import plan_sentences
+from casacal.planning.plan import plan_sentences, plan_text
 from casacal.planning.set_ups import SetUp
 from casacal.shopfloor import Session
 from casacal.shopfloor.known import Alarm, SessionState, Suspected
-from casacal.wording import with_spread
+from casacal.wording import figures, with_spread
 
 HSR = ROOT / "problems" / "hsr_jr680"
 
@@ -175,6 +176,46 @@ def test_set_ups_say_that_they_compare_with_one_another(hsr, small):
 )
 def test_no_more_digits_than_an_interval_deserves(value, spread, most, said):
     assert with_spread(value, spread, most) == said
+
+
+@pytest.mark.parametrize(
+    ("value", "count", "said"),
+    [(123.4, 2, "120"), (4567.8, 3, "4570"), (0.01234, 3, "0.0123"), (2.0, 3, "2"), (-3.4e-5, 2, "-0.000034"),
+     (0, 3, "0"), (float("inf"), 3, "inf")],
+)  # fmt: skip
+def test_lengths_and_angles_have_no_exponent(value, count, said):
+    assert figures(value, count) == said
+    assert figures(12.34, 2, signed=True) == "+12"
+
+
+def test_a_number_that_is_none_is_said_with_what_is_allowed(tmp_path, capsys):
+    asked = ["plan", str(HSR), "--touches", "12", "--pool", "60", "--out", str(tmp_path / "p.csv")]
+    for option, said in (
+        ("--check=nan", "Got nan as the part 'check'. Give a number from 0 to below 1"),
+        ("--again=-1", "Got -1 as the part 'again'. Give a number from 0 to below 1"),
+        ("--keep-out=0:inf,1:2,1:2", "--keep-out is 0:inf,1:2,1:2. Give numbers of mm"),
+        ("--box=nan:1,1:2,1:2", "--box is nan:1,1:2,1:2. Give numbers of mm"),
+    ):
+        assert main([*asked, option]) == 2
+        assert said in capsys.readouterr().err
+    for tolerance in (float("nan"), float("inf"), -1.0):
+        with pytest.raises(CasacalError, match=rf"Got {tolerance:g} as the tolerance\. Give a positive number of mm"):
+            Session(load_problem(HSR).problem, tolerance=tolerance)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_in_the_wrong_place_is_answered_with_the_right_one(hsr, small, tmp_path, capsys):
+    """A plan in place of samples; the folder of problems, or the samples, in place of a problem."""
+    file = tmp_path / "plan.csv"
+    file.write_text(plan_text(small, hsr.problem, "hsr"))
+    for command in ("check", "calibrate"):
+        assert main([command, str(HSR), str(file)]) == 2
+        assert "this is a plan, which expects a reading and holds none. Give what was" in capsys.readouterr().err
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "problem.py").write_text("")
+    for path in (tmp_path, tmp_path / "mine" / "samples.csv"):
+        with pytest.raises(ProblemError, match=rf"known here: .*{tmp_path.name}/mine"):
+            load_problem(path)
 
 
 def test_problems_of_this_project_need_no_session():

@@ -23,11 +23,12 @@ from casacal.model.instrument import OVERTRAVEL, Probe, readings_within
 from casacal.model.problem import Problem
 from casacal.model.robot import random_joints
 from casacal.values import Array, Rows
-from casacal.wording import counted, shortened
+from casacal.wording import counted, figures, shortened
 
 OUTSIDE, OUT_OF_LIMITS = "readings outside travel", "readings outside limits"
 SHOWN_UNITS = {"angle": " degrees", "length": " mm", "number": ""}
 GRIDS = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)  # degrees, or mm
+FAR = 10.0  # times its travel by which no dial is outside it
 ENOUGH_ROWS = 12  # rows from which a common grid of values cannot be chance
 
 
@@ -45,18 +46,31 @@ def repeated(samples: Samples) -> list[Finding]:
 
 
 def lost_targets(problem: Problem, samples: Samples) -> tuple[list[Finding], Samples]:
-    """An error on rows in which a device tells no place, exact zeros or numbers that nothing shows; the other rows."""
-    names = [name for name, kind in problem.instrument.columns.items() if kind == "length"]
-    if not problem.instrument.words.accuracy or len(names) < 3:
+    """An error on rows in which a device tells nothing, and the other rows.
+
+    Of a device that tells places: exact zeros, or one place in all rows. Of a dial: one reading far outside its travel
+    in all rows. Of both: numbers that nothing shows.
+    """
+    instrument, probe = problem.instrument, problem.instrument.probe
+    names = [name for name, kind in instrument.columns.items() if kind == "length"]
+    if probe is not None and probe.column is not None:
+        about, why, names, travel = "lost reading", "of a dial that was not read", [probe.column], probe.travel
+    elif instrument.words.accuracy and len(names) >= 3:
+        about, why, travel = "lost target", "of a target that was lost", -math.inf
+    else:
         return [], samples
-    places = np.column_stack([samples.columns[name] for name in names])
-    lost = (places == 0).all(axis=1) | (np.abs(places) >= ABSURD).any(axis=1)
-    if not lost.any() or 2 * lost.sum() > len(lost):
+    told, (low, high) = np.column_stack([samples.columns[name] for name in names]), readings_within(travel)
+    lost = (np.abs(told) >= ABSURD).any(axis=1) | ((told == 0).all(axis=1) & (high < low))
+    far = max(low - told[0, 0], told[0, 0] - high) > FAR * (high - low)
+    lost |= len(told) > 2 and far and (told == told[0]).all()
+    if not lost.any() or len(lost) / 2 < lost.sum() < len(lost):
         return [], samples
-    shown = " or ".join(dict.fromkeys(", ".join(f"{value:g}" for value in place) for place in places[lost]))
-    cause = f"the device tells no place there ({shown[:60]}), as of a target that was lost"
-    fix = "Remove these lines, or measure them again"
-    return [Finding("error", "lost target", cause, fix, _lines(samples, lost))], samples.take(np.flatnonzero(~lost))
+    shown = " or ".join(dict.fromkeys(", ".join(f"{value:g}" for value in each) for each in told[lost]))
+    cause = f"the device tells nothing {'in any row' if lost.all() else 'there'} ({shown[:60]}), as {why}"
+    fix = (
+        "Measure again, and see that it tells something" if lost.all() else "Remove these lines, or measure them again"
+    )
+    return [Finding("error", about, cause, fix, _lines(samples, lost))], samples.take(np.flatnonzero(~lost))
 
 
 def outside(problem: Problem, samples: Samples) -> list[Finding]:
@@ -132,7 +146,7 @@ def rounded(bound: BoundProblem) -> list[Finding]:
             shown = f"{math.degrees(step):g} degrees" if kind == "revolute" else f"{step:g} mm"
             cause = (
                 f"joints {', '.join(str(i + 1) for i in coarse)} are written in steps of {shown}, which moves the "
-                f"tip by up to {effect:.2g} mm; the stated noise is {noise:.2g} mm"
+                f"tip by up to {figures(effect, 2)} mm; the stated noise is {figures(noise, 2)} mm"
             )
             fix = "Log the joints with more digits, or declare the joint repeatability"
             findings.append(Finding("error" if effect > 2 * noise else "warning", "joints rounded", cause, fix))
@@ -433,7 +447,7 @@ def in_metres(problem: Problem, samples: Samples) -> list[Finding]:
     extent = float(np.linalg.norm(np.ptp(nominal_sight(problem, 0, anywhere).poses[:, :3, 3], axis=0)))
     if not IN_METRES[0] < extent < IN_METRES[1]:
         return []
-    cause = f"in any postures the flange stays within {extent:.2g} mm, so the arm's lengths seem to be metres"
+    cause = f"in any postures the flange stays within {figures(extent, 2)} mm, so the arm's lengths seem to be metres"
     return [Finding("error", "arm in metres", cause, "Write them, and what the pose function returns, in mm")]
 
 

@@ -29,6 +29,7 @@ from casacal.uncertainty.identifiability import Identifiability
 from casacal.uncertainty.moves import PriorMoves
 from casacal.uncertainty.tip_error import Box
 from casacal.values import Array
+from casacal.wording import figures
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -230,7 +231,7 @@ class Calibrated(WithVerdict, AsArm):
 
     def __repr__(self) -> str:
         (before, now), level = self.tip_std, self.verdict.level
-        shown = "" if self.denied else f"expected tip error {before:.3g} to {now:.3g} mm RMS, "
+        shown = "" if self.denied else f"expected tip error {figures(before)} to {figures(now)} mm RMS, "
         name = self.fit.problem.robot.name
         return f"<casacal calibration of {name} by {self.method}: {len(self.samples)} samples, {shown}{level}>"
 

@@ -30,15 +30,9 @@ from casacal.calibration.faults import ALIKE, EXPLAINED, MOVED, SUSPICIOUS, Misf
 from casacal.calibration.finding import Finding, misfit, quick_fit
 from casacal.calibration.midway import changed_midway, labels_exchanged
 from casacal.calibration.mirror import mirror_image
-from casacal.calibration.numbers import (
-    tool_elsewhere_at,
-    tool_keys,
-    without_its_likes,
-    wrong_number,
-    wrong_scale,
-)
+from casacal.calibration.numbers import tool_elsewhere_at, tool_keys, without_its_likes, wrong_number, wrong_scale
 from casacal.calibration.patterns import CONVENTIONS
-from casacal.calibration.set_aside import off_their_face, robust_fit, single_rows, studentised_outliers
+from casacal.calibration.set_aside import gross, off_their_face, robust_fit, single_rows, studentised_outliers
 from casacal.data.repeats import without_copies
 from casacal.data.samples import Measurements, Samples
 from casacal.effects.selection import dial_errors, effect_sizes_of, with_effects
@@ -51,7 +45,7 @@ from casacal.uncertainty.figures import noise_interval
 from casacal.uncertainty.moves import prior_scatter
 from casacal.uncertainty.noise import found_noise
 from casacal.values import Array, Index
-from casacal.wording import listed, sized, times
+from casacal.wording import figures, listed, sized, times
 
 COUNTED = "Calibrate anyway: the kit of effects accounts for this"
 
@@ -93,7 +87,7 @@ def _shown(bound: BoundProblem, x: Array) -> Iterator[tuple[str, str, str, str]]
     """Key, words, evidence and size of what rows show at the minimum x (n,): of the dial, and of the arm."""
     for error in dial_errors(bound, x):
         if error.shown:
-            size = f"{error.shown_size}, which moves the tip by {error.tip_mm:.2g} mm RMS"
+            size = f"{error.shown_size}, which moves the tip by {figures(error.tip_mm, 2)} mm RMS"
             yield error.key, error.words, f"p = {error.chance:.1g}", size
     for each in effect_sizes_of(bound, x):
         if each.shown and each.size > each.expected_size:
@@ -167,6 +161,8 @@ def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding
     """Findings on the samples of a problem's only instrument."""
     drawn, problem = problem, with_constants(problem)
     lost, samples = lost_targets(problem, samples)
+    if not len(samples):
+        return lost
     findings = [*lost, *repeated(samples), *outside(problem, samples)]
     findings += [*absent_labels(problem, samples), *odd_labels(problem, samples), *lost_steps(problem, samples)]
     samples = without_copies(samples)  # as calibrate takes them
@@ -277,18 +273,14 @@ def _unexplained(problem: Problem, samples: Samples, base: float, findings: list
         "be the cause"
     )
     if base > EXPLAINED:  # more than any arm errs
-        fix = "Check labels, columns and DH table; casacal doctor compares the table with poses on the pendant"
+        first = f"See that {listed(still)} was read anew in each row. " if still else ""
+        fix = f"{first}Check labels, columns and DH table; casacal doctor compares the table with poses on the pendant"
         probe = problem.instrument.probe
-        if probe is not None and probe.column is not None and _better_turned(problem, samples, base):
-            fix = f"Try the dial's sign first (--set sign={-probe.sign}). {fix}. Do not delete rows"
+        if probe is not None and probe.column is not None:  # what is wrong beside the sign then shows
+            turned = problem.with_settings({"sign": -probe.sign})
+            better = misfit(turned, _few_of_each_face(problem, samples)) < base
+            fix = f"Try the dial's sign first (--set sign={-probe.sign}). {fix}. Do not delete rows" if better else fix
     return Finding("error", "misfit", cause, fix)
-
-
-def _better_turned(problem: Problem, samples: Samples, base: float) -> bool:
-    """Whether the dial's other sign leaves a smaller misfit: what is wrong beside it then shows."""
-    probe = problem.instrument.probe
-    assert probe is not None
-    return misfit(problem.with_settings({"sign": -probe.sign}), _few_of_each_face(problem, samples)) < base
 
 
 def _tried(problem: Problem) -> list[str]:
@@ -358,6 +350,11 @@ def _of_several(problem: Problem, measured: Measurements, confirmed: bool) -> li
         return [Finding("error", UNBOUND, error.what, error.fix), *found]
     found += enough_rows(bound)
     if all(finding.severity != "error" for finding in found):
-        found += contradictions(bound, measured)
+        try:  # single rows that an instrument of few rows alone does not show, as calibrate sets them aside
+            bad, aside = gross(bound)
+            bound = bind(problem, *measured.take(np.flatnonzero(~bad)).sets) if bad.any() else bound
+        except CasacalError:  # half the rows of an instrument: no single ones
+            aside = ()
+        found += [*aside, *contradictions(bound, bound.measured)]
         found += [] if confirmed else _image(bound)  # what one instrument alone leaves open, another may tell
     return found

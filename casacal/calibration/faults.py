@@ -37,7 +37,7 @@ from casacal.model.problem import Problem
 from casacal.model.problem_text import conventions_line
 from casacal.model.robot import Robot
 from casacal.values import Array, Index, Rows
-from casacal.wording import numbered_lines, times
+from casacal.wording import figures, numbered_lines, times
 
 MOVED = "something moved"
 MOST_SCALE = 0.2  # part by which readings are too large beyond which it is no error of scale
@@ -81,7 +81,7 @@ def drifting(problem: Problem, samples: Samples, *, column: str) -> Undone:
         return replace(samples, columns={**samples.columns, column: samples.columns[column] - size * order})
 
     (size,) = fitted_sizes(problem, samples, less)
-    return Undone(problem, less(samples, size), f", by {size:+.3g} mm from the first row to the last")
+    return Undone(problem, less(samples, size), f", by {figures(size, signed=True)} mm from the first row to the last")
 
 
 def scaled(problem: Problem, samples: Samples, *, columns: Sequence[str]) -> Undone:
@@ -106,7 +106,7 @@ def geared(problem: Problem, samples: Samples, *, turning: int, sliding: int) ->
         return replace(samples, joints=joints)
 
     (size,) = fitted_sizes(problem, samples, with_lead)
-    return Undone(problem, with_lead(samples, size), f", by {2 * math.pi * size:+.4g} mm per turn")
+    return Undone(problem, with_lead(samples, size), f", by {figures(2 * math.pi * size, 4, signed=True)} mm per turn")
 
 
 def somewhere_moved(problem: Problem, samples: Samples) -> Undone:
@@ -144,7 +144,7 @@ def zero_moved(problem: Problem, samples: Samples, *, column: str) -> Undone:
             break
         places, sizes, rows, left = [*places, place], found, less(samples, *found), misses
     shifts = sorted(zip(places, sizes, strict=True))
-    said = " and".join(f" near line {samples.lines[place]}, by {size:+.3g} mm" for place, size in shifts)
+    said = " and".join(f" near line {samples.lines[k]}, by {figures(size, signed=True)} mm" for k, size in shifts)
     return Undone(problem, rows, said)
 
 
@@ -192,7 +192,8 @@ def joint_slipped(problem: Problem, samples: Samples) -> Undone:
         before, after = (each.largest(np.abs(each.residual(undone[1].x))) for each in both)
         costs = np.cumsum(before**2) - before**2 + np.cumsum((after**2)[::-1])[::-1]
         place = int(np.argmin(costs[FEWEST : len(samples) - FEWEST])) + FEWEST
-    said = f": joint {joint + 1}, near line {samples.lines[place]}, by {math.degrees(size):+.3g} degrees"
+    by = figures(math.degrees(size), signed=True)
+    said = f": joint {joint + 1}, near line {samples.lines[place]}, by {by} degrees"
     return Undone(problem, _turned_back(samples, size, joint=joint, place=place), said)
 
 

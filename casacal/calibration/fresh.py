@@ -161,11 +161,6 @@ class Fresh:
         of_arm = np.array([slot.key in keys for slot in self.bound.slots for _ in slot.columns], dtype=bool)
         return np.flatnonzero(of_arm & self.known)
 
-    @property
-    def own_names(self) -> tuple[str, ...]:
-        """Unknowns that these rows alone know."""
-        return tuple(name for name, known in zip(self.bound.names, self.known, strict=True) if not known)
-
     @cached_property
     def x(self) -> Array:
         """All unknowns (n,): the arm as calibrated, what the rows alone know fitted to them."""
@@ -516,7 +511,7 @@ class Opened:
             self.rows.file,
             self.rows.sha256,
             len(self.rows),
-            fresh.own_names,
+            tuple(name for name, known in zip(fresh.bound.names, fresh.known, strict=True) if not known),
             standing,
             self.copied,
             self.fitted,

@@ -24,7 +24,7 @@ from casacal.uncertainty.moves import DULL, chance_of_move, common_scale
 from casacal.uncertainty.noise import found_noise
 from casacal.uncertainty.tip_error import tip_rms, tip_stds, without_rigid, workspace_joints
 from casacal.values import Array, Index
-from casacal.wording import listed
+from casacal.wording import figures, listed
 
 
 def tool_keys(problem: Problem) -> list[str]:
@@ -63,7 +63,7 @@ def as_good(bound: BoundProblem, groups: Mapping[str, Sequence[str]], freed: Res
             parts = tuple(f"{key}{sign}" for key in keys for sign in "_.")
             rows = [j for j, each in enumerate(other.names) if each in keys or each.startswith(parts)]
             far = max(rows, key=lambda j: abs(fitted.x[j]))
-            found[title] = f"{other.names[far]} by {fitted.x[far]:+.3g} {other.units[far]}"
+            found[title] = f"{other.names[far]} by {figures(fitted.x[far], signed=True)} {other.units[far]}"
     return found
 
 
@@ -326,8 +326,8 @@ def _by(problem: Problem, key: str, name: str, by: float) -> str:
     assert drawn is not None
     at = float(drawn[unknown.component_names(key).index(name)])
     if unknown.unit == "rad":
-        return f", by {math.degrees(by):+.3g} degrees from {math.degrees(at):.6g}"
-    return f", by {by:+.4g} {unknown.unit} from {at:.6g}"
+        return f", by {figures(math.degrees(by), signed=True)} degrees from {figures(math.degrees(at), 6)}"
+    return f", by {figures(by, 4, signed=True)} {unknown.unit} from {figures(at, 6)}"
 
 
 def _fix(name: str, unit: str) -> str:

@@ -51,7 +51,7 @@ def patterns(problem: Problem, samples: Samples) -> Iterator[Fault]:
     plain = np.tile((1, 0, 0), (count, 1))
     if count > 2:
         plain[2, 2] = axes.mixing[2, 1]
-    if not np.array_equal(axes.mixing, _mixed(plain)):  # the arm couples other joints
+    if not np.array_equal(axes.mixing, np.eye(count) + np.diag(plain[1:, 2], -1)):  # the arm couples other joints
         return
     settings = settings_of(axes.turns)
     places = np.indices([len(some) for some in settings]).reshape(count, -1)
@@ -133,11 +133,6 @@ def _left(problem: Problem, samples: Samples, columns: Mapping[str, Array], tips
             squares = squares + (off**2).sum(axis=(0, 1))
         free += spare
     return np.sqrt(squares / free) if free else np.array([math.inf])
-
-
-def _mixed(pattern: Index) -> Array:
-    """Joint values of the arm's own axes from those of the controller, but for signs: (n, n)."""
-    return np.asarray(np.eye(len(pattern)) + np.diag(pattern[1:, 2], -1))
 
 
 def _fault(problem: Problem, samples: Samples, mixing: Array, pattern: Index, plain: Index) -> Fault:

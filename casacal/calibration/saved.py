@@ -16,6 +16,7 @@ from casacal.deployment.result_file import read_result
 from casacal.errors import CasacalError, came
 from casacal.model.problem import Problem
 from casacal.values import Array, Value
+from casacal.wording import figures
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -246,7 +247,7 @@ class SavedCalibration(Value, AsArm):
         return parameter_table(asdict(row) for row in self.found.found.parameters)
 
     def __repr__(self) -> str:
-        expected = "" if math.isnan(self.tip_std[1]) else f", expected tip error {self.tip_std[1]:.3g} mm RMS"
+        expected = "" if math.isnan(self.tip_std[1]) else f", expected tip error {figures(self.tip_std[1])} mm RMS"
         return (
             f"<casacal calibration of {self.found.source.problem.robot.name} by {self.found.found.method}, read from "
             f"{self.found.file}{expected}{'' if self.found.denial is None else ', do not use'}>"

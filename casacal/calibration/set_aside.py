@@ -23,7 +23,7 @@ from casacal.model.problem import Problem
 from casacal.uncertainty.figures import leverages
 from casacal.uncertainty.moves import prior_scatter
 from casacal.values import Array, Index, Rows
-from casacal.wording import counted
+from casacal.wording import counted, figures
 
 FEWEST_OF_A_FACE = 12  # rows of a face that can tell how rough it is
 WORTH_A_LOOK = 0.05
@@ -133,7 +133,7 @@ def single_rows(bound: BoundProblem, result: Result, found: Outliers) -> list[Fi
             dial = f"{counted(abs(turned), 'turn')} of a pointer that shows {abs(by / turned):g} mm"
             fix = "Measure again, or correct the reading if the pointer was misread"
             lines = tuple(sorted(samples.lines[k] for k in rows))
-            cause = f"with {by:+.3g} mm added to the reading {fits}: {dial}"
+            cause = f"with {figures(by, signed=True)} mm added to the reading {fits}: {dial}"
             findings.append(Finding("error", "lost revolution", cause, fix, lines, name))
         explained = {k for rows in turns.values() for k in rows}
         if angle := _turned_alone(bound, result, own, found.limit * found.scale, i):
@@ -142,7 +142,7 @@ def single_rows(bound: BoundProblem, result: Result, found: Outliers) -> list[Fi
             )
             fix = "Take the other of the two poses that the marker allows, or remove these rows"
             lines = tuple(sorted(samples.lines[k] for k in own))
-            findings.append(Finding("error", "orientation flipped", cause, fix, lines, name))
+            findings.append(Finding("error", FLIPPED_ROWS, cause, fix, lines, name))
             continue
         lines = tuple(sorted(samples.lines[k] for k in own if k not in explained))
         if lines:
@@ -169,6 +169,7 @@ def _turned_alone(bound: BoundProblem, result: Result, rows: Sequence[int], most
     return f"{angles.min():.0f} degrees" if np.ptp(angles) < 1 else f"{angles.min():.0f} to {angles.max():.0f} degrees"
 
 
+FLIPPED_ROWS = "orientation flipped"
 FLIPPED = 0.3  # chord of the least turn by which the two poses of a marker differ
 TURNS_MM = (1.0, 0.5, 2.54, 0.2)
 """Length that one turn of a pointer shows, by dials on sale; several turns are only looked for of the first."""
@@ -291,8 +292,11 @@ def _outliers(bound: BoundProblem) -> Rows:
     """Rows (N,) that a robust fit of them all cannot explain."""
     found = np.zeros(len(bound.measured), dtype=bool)
     # what the rows must hold is the geometry: unknowns of effects stand at zero unless rows say more
-    if bound.rows > bound.beside.count("") and (fitted := robust_fit(bound)) is not None and fitted[1].converged:
-        found[list(studentised_outliers(*fitted).rows)] = True
+    if bound.rows > bound.beside.count("") and (fitted := robust_fit(bound)) is not None:
+        outliers = studentised_outliers(*fitted)
+        # by half a turn the residual has a kink, where no fit comes to rest
+        if fitted[1].converged or {each.about for each in single_rows(*fitted, outliers)} == {FLIPPED_ROWS}:
+            found[list(outliers.rows)] = True
     return found
 
 

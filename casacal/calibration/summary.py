@@ -28,7 +28,7 @@ from casacal.errors import CasacalError
 from casacal.fit.methods import minimises
 from casacal.planning.cures import Cure
 from casacal.public import __version__
-from casacal.wording import METRE, chance, counted, listed, lower, mm
+from casacal.wording import METRE, chance, counted, figures, listed, lower, mm
 
 WORSE = 1.5  # expected error of the flange over that of the tip from which it is the tip that is worth correcting
 
@@ -182,8 +182,8 @@ def _residual(calibration: Calibration) -> str:
     held = "" if part == "fit" else "held-out "
     known = "as drawn" if calibration.earlier is None else "by the earlier result"
     return (
-        f"Residual on the {held}{said.things}, not accuracy: {after['rmse_mm']:.3g} {said.unit} RMS ({known}: "
-        f"{before['rmse_mm']:.3g})."
+        f"Residual on the {held}{said.things}, not accuracy: {figures(after['rmse_mm'])} {said.unit} RMS ({known}: "
+        f"{figures(before['rmse_mm'])})."
     )
 
 

@@ -21,7 +21,7 @@ from casacal.fit.methods import minimises
 from casacal.uncertainty.moves import prior_scatter
 from casacal.uncertainty.noise import is_usual, repeats_to
 from casacal.uncertainty.tip_error import spread_rms
-from casacal.wording import capital, chance, counted, listed, lower, mm, sentence, shortened, sized, times
+from casacal.wording import capital, chance, counted, figures, listed, lower, mm, sentence, shortened, sized, times
 
 NOISE_BAND = (0.9, 1.1)  # found over stated noise: an interval outside this band is worth a warning
 IMPROBABLE = 0.005  # chance below which a drawn arm that misses the planes by so little contradicts its priors
@@ -162,9 +162,9 @@ def _tool_elsewhere(calibration: Calibration) -> Doubt | None:
 
 
 def _repeated_rows(calibration: Calibration) -> Doubt | None:
-    said = " ".join(str(finding).removeprefix("warning: ").removesuffix(".") for finding in calibration.repeated)
+    said = " ".join(str(finding).removeprefix("warning: ") for finding in calibration.repeated)
     step = "remove the copies, or touch those places again"
-    return Doubt("some rows are copies of others", f"{said}; each was counted once.", step) if said else None
+    return Doubt("some rows are copies of others", said, step) if said else None
 
 
 def _labels_alike(calibration: Calibration) -> Doubt | None:
@@ -430,7 +430,7 @@ def _unknown_tip(calibration: Calibration) -> tuple[str, str]:
     loose = sorted((name for name in stds if stds[name] > USELESS / 2), key=lambda name: -stds[name])
     clause = f"the tip would err by {mm(calibration.tip_std[1])}, more than an arm as drawn"
     turned = math.degrees(most_turned(fit))
-    why = f" These postures turn the tool by at most {turned:.2g} degrees." if turned < LITTLE_TURNED else ""
+    why = f" These postures turn the tool by at most {figures(turned, 2)} degrees." if turned < LITTLE_TURNED else ""
     which = f"The samples hardly show {listed(loose)}" if loose else "The samples show too little of the arm"
     return clause, f"{which}.{why} Add postures that turn the tool far about two axes, or state priors."
 

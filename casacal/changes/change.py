@@ -9,7 +9,7 @@ from typing import Any
 from casacal.calibration.fresh import Judged
 from casacal.data.samples import Samples
 from casacal.values import Array, Value, frozen
-from casacal.wording import capital, chance, listed, numbered_lines, times, with_spread
+from casacal.wording import capital, chance, figures, listed, numbered_lines, times, with_spread
 
 INTERVAL = 1.96  # standard deviations of an interval of 95 %
 NOTHING, CHANGED, ROWS, UNDECIDED = "nothing", "changed", "rows", "undecided"
@@ -192,7 +192,7 @@ def _shown(found: Change) -> str:
     parts = []
     for joint in found.joints:
         if math.isfinite(joint.shift):
-            size = f"{1e3 * joint.shift:.2g} mrad" if joint.unit == "rad" else f"{joint.shift:.2g} mm"
+            size = f"{figures(1e3 * joint.shift, 2)} mrad" if joint.unit == "rad" else f"{figures(joint.shift, 2)} mm"
             parts.append(f"{joint.name} {size}")
     if not parts:
         return "These rows would not show a shift of any joint."

@@ -16,10 +16,10 @@ from casacal.changes.change import CHANGED, NOTHING, ROWS, UNDECIDED, CauseFound
 from casacal.changes.explain import SURE, UNEXPLAINED, Explanation, Look, contenders, explanations, telling
 from casacal.data.samples import Samples
 from casacal.deployment.arm import CalibratedArm
-from casacal.errors import CasacalError, SamplesError, came
+from casacal.errors import CasacalError, SamplesError
 from casacal.model.problem import Problem
 from casacal.model.problem_file import ProblemFile
-from casacal.values import is_real
+from casacal.values import as_given, is_real
 
 MOST = 1500  # rows that are looked at: each is compared with every cause as one that is off
 FEWEST = 3  # rows that may be off, of few; of many one in twenty
@@ -68,10 +68,10 @@ def looked(
 ) -> tuple[Change, Look]:
     """`changed` for rows already opened; also returns the last look, without rows that are off."""
     if not (is_real(alarm) and 0.001 <= alarm <= 0.5):
-        raise CasacalError(f"Got {came(alarm)}, {alarm!r}, as the false alarm rate", "Give 0.001 to 0.5")
+        raise CasacalError(f"Got {as_given(alarm)} as the false alarm rate", "Give 0.001 to 0.5")
     for what, value, most in (("touches", touches, 100), ("seed", seed, 2**63)):
         if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or not 0 <= value <= most:
-            raise CasacalError(f"Got {came(value)} as the {what}", f"Give a whole number from 0 to {most}")
+            raise CasacalError(f"Got {as_given(value)} as the {what}", f"Give a whole number from 0 to {most}")
     if len(case.rows) > MOST:
         fix = f"Give up to {MOST:,} of them"
         raise SamplesError(case.rows.file, f"{len(case.rows):,} rows are too many to look at one by one", fix)

@@ -164,6 +164,8 @@ def box_of(text: str, *, option: str = "--box") -> tuple[tuple[float, float], tu
         (x0, x1), (y0, y1), (z0, z1) = (map(float, part.split(":")) for part in text.split(","))
     except ValueError:
         raise CasacalError(f"{option} {text} is not X0:X1,Y0:Y1,Z0:Z1", "Give three ranges in mm") from None
+    if not all(map(math.isfinite, (x0, x1, y0, y1, z0, z1))):
+        raise CasacalError(f"{option} is {text}", "Give numbers of mm: 100000 is far enough")
     return (x0, x1), (y0, y1), (z0, z1)
 
 
@@ -330,9 +332,15 @@ def table_of(source: ProblemFile, options: argparse.Namespace) -> float:
     return 0.0 if source.cell is None else source.cell.table
 
 
-def on_table(source: ProblemFile, options: argparse.Namespace) -> ProblemFile:
-    """The cell with the table that was named, and faces above it where the problem file has no cell of its own."""
-    from casacal.simulation.cell import Disturbances
+TILT = "--tilt DEG", "largest angle between plunger and face normal; default: 30, or as the problem's cell has it"
+
+
+def in_cell(source: ProblemFile, options: argparse.Namespace, *, tilt: float | None = None) -> ProblemFile:
+    """The cell with table and tilt (degrees) as named, and faces above it where the file has no cell of its own.
+
+    Raises CasacalError for a tilt where no faces are touched.
+    """
+    from casacal.simulation.cell import Cell, Disturbances
     from casacal.simulation.touches import default_cell
 
     problem = source.problem
@@ -340,7 +348,11 @@ def on_table(source: ProblemFile, options: argparse.Namespace) -> ProblemFile:
     table, cell = table_of(source, options), source.cell
     if cell is None:
         cell = default_cell(problem.measured_by(faced[0]), table=table) if faced else Disturbances(table=table)
-    return replace(source, cell=replace(cell, table=table))
+    if tilt is not None and not isinstance(cell, Cell):
+        what = f"--tilt is about faces, and {type(problem.instrument).__name__} touches none"
+        raise CasacalError(what, "Leave it out")
+    cell = replace(cell, table=table)
+    return replace(source, cell=cell if tilt is None else replace(cell, tilt=math.radians(tilt)))
 
 
 def add_clearance(parser: argparse.ArgumentParser) -> None:
@@ -352,11 +364,12 @@ def add_clearance(parser: argparse.ArgumentParser) -> None:
     add(parser, "--link-radius MM", words, kind=float)
 
 
-def clearance_of(options: argparse.Namespace) -> Clearance:
-    """Clearance from --keep-out and --link-radius."""
+def clearance_of(options: argparse.Namespace, source: ProblemFile | None = None) -> Clearance:
+    """Clearance from --keep-out and --link-radius, and from the boxes of a problem file's cell where it is given."""
     from casacal.planning.candidates import Clearance
 
     radius = options.link_radius
     if radius is not None and radius and radius < THINNEST:
         raise CasacalError(f"--link-radius is {radius:g} mm, which no link is", "Give mm: 0.05 m are 50")
-    return Clearance(tuple(box_of(text, option="--keep-out") for text in options.keep_out), radius)
+    boxes = tuple(box_of(text, option="--keep-out") for text in options.keep_out)
+    return Clearance((*boxes, *(() if source is None or source.cell is None else source.cell.keep_out)), radius)

@@ -7,7 +7,7 @@ import hashlib
 import os
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -58,17 +58,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Hold a session; returns 0, or 1 where a tolerance is not met."""
     from casacal.model.problem_file import load_problem
+    from casacal.planning.candidates import hindered
     from casacal.shopfloor.gauges import SerialLine, gauge
 
     source = common.of_instrument(load_problem(options.problem), options.instrument)
     common.spare([options.out], *(file.path for file in source.files), options.plan, options.targets, own=True)
     meter = gauge(options.gauge, pattern=options.pattern, unit=options.unit, asks=options.ask)
-    session, file = _begun(source if options.table is None else common.on_table(source, options), options)
+    session, file = _begun(source if options.table is None else common.in_cell(source, options), options)
+    assert session.plan is not None
+    clearance = common.clearance_of(options, source)
+    hit = hindered(session.problem, session.plan.samples, common.table_of(source, options), clearance)
     if options.serial is None:
-        session = _held(session, file, meter, None)
+        session = _held(session, file, meter, None, hit)
     else:
         with closing(SerialLine(options.serial, baud=options.baud, **_frame(options.frame))) as line:
-            session = _held(session, file, meter, line)
+            session = _held(session, file, meter, line, hit)
     return DONE if session.alarm is None and (session.tolerance is None or session.done) else FAILED
 
 
@@ -108,7 +112,7 @@ def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, T
     return session, file
 
 
-def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | None) -> Session:
+def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | None, hit: Mapping[int, str]) -> Session:
     from casacal.shopfloor.conversation import answered, doubt, ended, posture, repeats_last, waiting
 
     say_paragraphs(*doubt(session), "h: help; q: end")
@@ -121,6 +125,8 @@ def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | No
                 break
             if proposed.number is None and not _further(session):
                 break
+            if there := hit.get(proposed.number or 0):
+                say_paragraphs(f"warning: do not go to the next posture ({there}); s skips it")
             say_paragraphs(posture(proposed, file.layout))
         say_paragraphs(waiting(session, proposed, by_gauge=line is not None))
         entry = next(entered, None)

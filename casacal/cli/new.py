@@ -8,7 +8,7 @@ import tempfile
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, add, box_of, number_or_range
+from casacal.cli.common import DONE, TABLE, add, box_of, number_or_range
 from casacal.cli.terminal import say_paragraphs
 from casacal.errors import CasacalError
 
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--plate NAME:X,Y,Z[:NX,NY,NZ][:SIDE] ...", words)
     words = "height of a gauge block on the first plate, which tells the size of the arm"
     add(parser, "--block MM", words, kind=float)
-    add(parser, "--table Z", "height of the table on which all stands, mm in the base frame; default: 0", kind=float)
+    add(parser, *TABLE, kind=float)
     add(parser, "--keep-out X0:X1,Y0:Y1,Z0:Z1 ...", "a box, mm, base frame, that arm and tool must avoid")
     add(parser, "--out DIR", "where to make the folder; default: here", default=".")
 
@@ -85,6 +85,7 @@ def run(options: argparse.Namespace) -> int:
         towards = "" if face.normal == (0.0, 0.0, 1.0) else f", facing {', '.join(f'{n:g}' for n in face.normal)}"
         begun = "Proposed face" if answers.proposed else "Face"
         say_paragraphs(f"{begun} '{face.label}': middle at {where} mm{towards}, {face.side:g} mm wide")
+    say_paragraphs(*(f"warning: {each}" for each in answers.remarks))
     say_paragraphs(f"Written: {place}", *(f"To fill in: {words}" for words in missing))
     following = f"casacal simulate {place} --out out/{options.name}_samples.csv"
     say_paragraphs(f"Next: {f'fill these in {place}/problem.py, then ' if missing else ''}{following}")

@@ -45,9 +45,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     words = "with --after: what may have moved since, in rad or mm, such as theta4=0.01 after a new motor"
     add(parser, "--loose NAME=STD ...", words)
     add(parser, "--pool N", "number of candidates; default: 3000", kind=whole_number, default=3000)
-    add(parser, "--check F", "part kept to verify; default: 0.15", kind=float, default=0.15)
+    words = "part kept to verify, or a few more where these place every face; default: 0.15"
+    add(parser, "--check F", words, kind=float, default=0.15)
     add(parser, "--again F", "part repeated at the end; default: 0.05", kind=float, default=0.05)
     common.add_clearance(parser)
+    add(parser, *common.TILT, kind=float)
     words = "also touch a gauge block of this height on the first face; writes a problem with it beside the plan"
     add(parser, "--block MM", words, kind=float)
     add(parser, "--setups", "also compare other set-ups of the cell")
@@ -73,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
     outs = [options.out, *([] if options.sheet is None else [options.sheet])]
     common.spare(outs, *(file.path for file in source.files), source.samples, options.targets, options.after)
     warned = _wrong_with(source, options)
-    source, clearance = common.on_table(source, options), common.clearance_of(options)
+    source, clearance = common.in_cell(source, options, tilt=options.tilt), common.clearance_of(options)
     texts, place = dict[Path, str](), Path(options.problem)
     if options.block is not None:
         source, place, texts = _with_block(source, options)
@@ -108,18 +110,21 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _following(options: argparse.Namespace, compared: Sequence[SetUp], place: Path, *, of_one: bool) -> list[str]:
-    """What to type next: the plan with a gauge block where that is worth most, and `casacal measure`."""
-    from casacal.planning.offers import STEP
-    from casacal.planning.set_ups import GAUGE_BLOCK, worth_most
+    """What to type next: the plan of the set-up that is worth most, and `casacal measure`."""
+    from casacal.planning.set_ups import worth_most
 
     best = worth_most(compared) if compared else None
-    advised = best is not None and GAUGE_BLOCK in best[0].words
     named = [] if options.instrument is None or of_one else [f"--instrument={options.instrument}"]
     numbers = {"--table": options.table, "--link-radius": options.link_radius}
     named += [f"{name}={value:g}" for name, value in numbers.items() if value is not None]
     named += [f"--keep-out={box}" for box in options.keep_out]
     command = shlex.join(["casacal", "measure", place.as_posix(), *named, "--plan", options.out, "--out"])
-    return [*([f"To do so: {options.typed} --block={STEP:g}"] if advised else []), f"Next: {command} SAMPLES"]
+    made = []
+    if best is not None and best[0].option.startswith("--plate"):
+        made = [f"To do so: casacal new with {best[0].option}"]
+    elif best is not None:
+        made = [f"To do so: {options.typed} {best[0].option}"]
+    return [*made, f"Next: {command} SAMPLES"]
 
 
 def _with_block(source: ProblemFile, options: argparse.Namespace) -> tuple[ProblemFile, Path, dict[Path, str]]:

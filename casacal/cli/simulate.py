@@ -8,14 +8,26 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, JSON, PROBLEM, TABLE, add, number_or_range, on_table, spare, table_of, whole_number
+from casacal.cli.common import (
+    DONE,
+    JSON,
+    PROBLEM,
+    TABLE,
+    TILT,
+    add,
+    in_cell,
+    number_or_range,
+    spare,
+    table_of,
+    whole_number,
+)
 from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
+from casacal.wording import METRE, UNBOUNDED, counted, figures, listed, shortened
 
 if TYPE_CHECKING:
     from casacal.data.samples import Samples
     from casacal.model.problem_file import ProblemFile
-    from casacal.model.robot import Robot
     from casacal.planning.route import Route
     from casacal.simulation.cell import Disturbances
     from casacal.simulation.simulate import Simulation
@@ -23,7 +35,6 @@ if TYPE_CHECKING:
 HELP = "simulate samples, with the true arm"
 
 NUMBERS = {
-    "tilt": ("DEG", "largest angle between plunger and face normal"),
     "repeatability": ("MM", "standard deviation of a reading, or of a touch where there is no dial"),
     "resolution": ("MM", "resolution of the dial; 0 for none"),
     "dial-gain": ("X", "error of the dial's gain, standard deviation: 0.0015 is 0.15 %%"),
@@ -56,6 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     words = "occasion on which the arm of that seed is measured: other noise, and without --plan other postures"
     add(parser, "--session K", f"{words}; default: 0", kind=whole_number, default=0)
     add(parser, "--travel MM", "range of the dial, such as 10 or -5:5", kind=number_or_range)
+    add(parser, *TILT, kind=float)
     for name, (unit, words) in NUMBERS.items():
         add(parser, f"--{name} {unit}", words, kind=float)
     words = "transmission error of every turning joint, harmonic=amplitude in rad, such as 1=1e-4; may be repeated"
@@ -75,7 +87,6 @@ def run(options: argparse.Namespace) -> int:
     from casacal.simulation.cell import Cell
     from casacal.simulation.simulate import simulate
     from casacal.uncertainty.tip_error import planned_accuracy
-    from casacal.wording import METRE, UNBOUNDED
 
     out = Path(options.out)
     if out.suffix.lower() not in (".csv", ".txt", ""):
@@ -88,7 +99,7 @@ def run(options: argparse.Namespace) -> int:
         spare([place, out.with_suffix(".truth.json")], *(file.path for file in source.files), options.plan)
     counts = _counts(source, options.samples) if route is None else route.samples
     simulation = simulate(source.problem, cell, samples=counts, seed=options.seed, session=options.session)
-    lost, warned, remarks = _compared(route, simulation, source.problem.robot)
+    lost, warned, remarks = _compared(route, simulation, cell)
     simulation, kept = _parted(simulation, route)
     before, after = planned_accuracy(bind(source.problem.without_terms, simulation.measured))
     paths = write_simulation(simulation, source, out, None if kept is None else (checks, kept))
@@ -144,15 +155,20 @@ SHOWN = 1e-3  # degrees, or hundredths of a mm, that a controller shows
 MOVED = 10.0  # degrees, or tens of mm, beyond which a posture is another one than the plan's
 
 
-def _compared(route: Route | None, simulation: Simulation, robot: Robot) -> tuple[list[int], list[str], list[str]]:
+def _compared(
+    route: Route | None, simulation: Simulation, cell: Disturbances
+) -> tuple[list[int], list[str], list[str]]:
     """Numbers of planned touches that the true arm cannot make, warnings, and remarks on postures that were moved."""
     import numpy as np
 
-    from casacal.wording import counted, shortened
+    from casacal.planning.candidates import Clearance, hindered
 
     if route is None:
         return [], [], []
-    made, warned, remarks = simulation.samples, list[str](), list[str]()
+    made, robot, warned, remarks = simulation.samples, simulation.problem.robot, list[str](), list[str]()
+    if found := hindered(simulation.problem, route.samples, cell.table, Clearance(cell.keep_out)):
+        words = shortened((f"touch {number} ({hit})" for number, hit in found.items()), 6)
+        warned.append(f"an arm cannot be in these postures of the plan: {words}")
     if lost := sorted(set(range(1, len(route) + 1)) - set(made.lines)):
         warned.append(
             f"{counted(len(lost), 'touch')} of the plan cannot be made by the true arm within the range of "
@@ -161,7 +177,8 @@ def _compared(route: Route | None, simulation: Simulation, robot: Robot) -> tupl
     apart = np.abs(made.joints - route.samples.joints[np.array(made.lines) - 1])
     apart = (np.where(robot.revolute, np.degrees(apart), apart / 10)).max(axis=1)
     if moved := int((apart > SHOWN).sum()):
-        most = f"{apart.max():.2g} degrees" + ("" if robot.revolute.all() else f", or {10 * apart.max():.2g} mm")
+        or_mm = "" if robot.revolute.all() else f", or {figures(10 * apart.max(), 2)} mm"
+        most = f"{figures(apart.max(), 2)} degrees{or_mm}"
         text = f"{counted(moved, 'posture')} moved by up to {most}, until the tip touched"
         remarks = [text + (" within the travel of the dial" if made.columns else "")]
         if apart.max() > MOVED:
@@ -188,8 +205,6 @@ def _parted(simulation: Simulation, route: Route | None) -> tuple[Simulation, Sa
 
 def _not_simulated(simulation: Simulation) -> list[str]:
     """Sentences on effects that are not simulated, and on those that the truth file does not hold."""
-    from casacal.wording import listed
-
     said, columns = [], [name for effect in simulation.problem.terms for name in effect.further]
     if columns:
         fix = "To calibrate these samples, leave out the effects that need them"
@@ -231,12 +246,10 @@ def _cell(source: ProblemFile, options: argparse.Namespace) -> Disturbances:
 
     instrument, problem = source.problem.instruments[0], source.problem
     faced = [name for name, each in zip(problem.names, problem.instruments, strict=True) if each.probe is not None]
-    cell: Disturbances = on_table(source, options).cell
     named = [name.replace("_", "-") for name in OF_FACES if getattr(options, name) is not None]
     if named and not faced:
         raise CasacalError(f"--{named[0]} is about faces, and {type(instrument).__name__} touches none", "Leave it out")
     others = ("travel", "outliers", "outlier_size", "gear_waves", "repeats", "approach")
     values = {name: value for name in (*AMOUNTS, *others) if (value := getattr(options, name)) is not None}
-    if options.tilt is not None:
-        values["tilt"] = math.radians(options.tilt)
+    cell: Disturbances = in_cell(source, options, tilt=options.tilt).cell
     return replace(cell, **values)

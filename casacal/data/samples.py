@@ -40,6 +40,10 @@ ALSO_CALLED = {"plane": ("face", "faces", "surface", "side", "wall", "plate", "p
 LARGEST = {"angle": 20 * math.pi, "length": 1e5, "number": math.inf}
 """Beyond ten turns or a hundred metres a value is absurd whatever the robot."""
 
+EXPECTED = "expected_"  # prefix of readings that a plan expects and that are not yet made
+
+UNREAD = 1e12  # mm; what is beyond it is no length in another unit, but a device's sign that it read nothing
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -127,6 +131,9 @@ def match_columns(table: Columns, layout: Layout) -> dict[str, tuple[str, float]
             continue
         if name in table.header:
             raise table.refusal(f"the column has no unit (for {name}: {wanted})", "Add the unit to its name", name)
+        if planned := [column for column in table.header if column.startswith(f"{EXPECTED}{name}")]:
+            fix = "Give what was measured in these postures: what casacal measure wrote, or simulate --plan"
+            raise table.refusal(f"this is a plan, which expects a {name} and holds none", fix, planned[0])
         wrong = [column for column in table.header if column.startswith(f"{name}_")]
         if wrong:
             raise table.refusal(f"the column does not carry a unit known for {name}", f"Call it {wanted}", wrong[0])
@@ -317,6 +324,7 @@ class Samples(Value):
                 limit = "100 m" if largest == LARGEST["length"] else "10 turns"
                 what = f"{columns.cell(column, row)} is absurd (beyond {limit})"
                 fix = "Check the value and the unit in the column's name"
+                fix += "; devices write such numbers where they read nothing" if np.abs(place[row]) > UNREAD else ""
                 also = [int(columns.lines[k]) for k in further]
                 raise SamplesError(columns.file, what, fix, line=columns.lines[row], column=column, also=also)
             place.setflags(write=False)

@@ -77,8 +77,7 @@ class Targets(Value):
         orthonormal = np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3), atol=UNIT_LENGTH)
         if not orthonormal or (np.linalg.det(turns) < 0).any():
             raise CasacalError(
-                "A target's rotation matrix is not orthonormal and right-handed",
-                "Give a rigid transform",
+                "A target's rotation matrix is not orthonormal and right-handed", "Give a rigid transform"
             )
         text = tuple(" ".join(f"{value:.9g}" for value in pose[:3].ravel()) for pose in poses)
         lines = tuple(range(1, len(poses) + 1))

@@ -135,7 +135,9 @@ def ur_kinematics_text(result: CalibratedArm) -> str:
         kinds = "".join("f" if joint.kind == "fixed" else "m" for joint in arm.chain).strip("f")
         if "f" in kinds or any(joint.axis != (0.0, 0.0, 1.0) for joint in arm.moving):
             raise CasacalError(f"'{arm.name}' has fixed joints between its joints, or axes that are not z", fix)
-    if not _is_built_like_one(_origins(arm, arm_values(result, nominal=True), conventions)[0]):
+    drawn = _origins(arm, arm_values(result, nominal=True), conventions)[0]
+    crossed = np.array([abs(origin[2, 2]) for origin in drawn[1:]])  # cosines between each axis and the next
+    if (np.abs(np.arccos(np.minimum(crossed, 1.0)) - np.arccos([0, 1, 1, 0, 0])) > NEARLY).any():
         what = f"'{name}' is not built like a UR, whose axes 2, 3 and 4 are parallel and the others at right angles"
         raise CasacalError(what, fix)
     origins, rest = _origins(arm, arm_values(result), conventions)
@@ -173,12 +175,6 @@ def _origins(arm: DHTable | UrdfChain, p: Any, conventions: Conventions) -> tupl
         else:
             origins.append(chain(lean, rotate_y(beta.get(i, 0.0)), spin))
     return [np.array(origin, dtype=np.float64) for origin in origins], np.array(rest, dtype=np.float64)
-
-
-def _is_built_like_one(origins: list[Array]) -> bool:
-    """Whether the drawn axes are those of a UR: 2, 3 and 4 parallel, the others at right angles."""
-    crossed = np.array([abs(origin[2, 2]) for origin in origins[1:]])  # cosines between each axis and the next
-    return bool((np.abs(np.arccos(np.minimum(crossed, 1.0)) - np.arccos([0, 1, 1, 0, 0])) <= NEARLY).all())
 
 
 def _fixed(value: float, digits: int = 12) -> str:

@@ -34,6 +34,7 @@ from casacal.model.term import Site
 from casacal.model.trace import RowModel
 from casacal.uncertainty.tip_error import tip_stds, up_to_base, workspace_joints
 from casacal.values import Array, Value, frozen
+from casacal.wording import figures
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +185,7 @@ class Prediction(Value):
         return len(self.positions)
 
     def __repr__(self) -> str:
-        spread = "" if self.std is None else f", standard deviation up to {self.std.max(initial=0.0):.3g} mm"
+        spread = "" if self.std is None else f", standard deviation up to {figures(self.std.max(initial=0.0))} mm"
         against = "" if self.denial is None else ", against the verdict"
         return f"<{len(self)} predicted poses{spread}{against}>"
 

@@ -22,6 +22,7 @@ from casacal.files import MADE
 from casacal.model.robot import Robot
 from casacal.uncertainty.figures import rms
 from casacal.values import Array, FrozenMapping
+from casacal.wording import figures
 
 LONGEST = 300  # letters in a comment
 
@@ -170,7 +171,7 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
 
 
 def _figures(values: Array, unit: str) -> str:
-    return f"{rms(values):.2g} {unit} RMS ({float(values.max()):.2g} {unit} at worst)"
+    return f"{figures(rms(values), 2)} {unit} RMS ({figures(float(values.max()), 2)} {unit} at worst)"
 
 
 def _table(compensation: Compensation, result: CalibratedArm) -> Iterator[str]:

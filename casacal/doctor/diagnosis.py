@@ -416,8 +416,7 @@ def _meanings(known: _ArmAsDrawn, rows: PendantRows, tolerance: float) -> tuple[
         for group in groups:
             same = fits[group]
             written = sorted(
-                {c for i in same if (c := conventions_of(readings[i], known.axes.mixing)) is not None},
-                key=changes,
+                {c for i in same if (c := conventions_of(readings[i], known.axes.mixing)) is not None}, key=changes
             )
             first = same[int(np.argmin(settings_changed(readings[same])))]
             rotations = {name: float(miss[first]) for name, miss in misses.items() if miss[first] <= tolerance * 1e-3}

@@ -10,6 +10,7 @@ from casacal.doctor.pendant_rows import MEANINGS
 from casacal.model.dh_table import conventions_toml
 from casacal.model.joints import Conventions, Joint
 from casacal.model.problem_text import conventions_line
+from casacal.wording import figures
 
 SHOWN = 4  # values of one setting that are listed when it is open
 
@@ -119,7 +120,7 @@ def _further(found: Diagnosis) -> list[str]:
     pose, best = found.further, found.meanings[0]
     if pose is None:
         return []
-    least = f"{pose.least_mm:.3g} mm and {math.degrees(pose.least_rad):.3g} deg"
+    least = f"{figures(pose.least_mm)} mm and {figures(math.degrees(pose.least_rad))} deg"
     if pose.separates == 0:
         return [f"No posture distinguishes them: the closest two never differ by more than {least}"]
     values = ", ".join(f"q{i} = {value:g}" for i, value in enumerate(pose.joints, 1))

@@ -100,10 +100,7 @@ def take_in(problem: LeastSquares, belief: Belief, first: int, process_root: Arr
 
 
 def sckf(
-    problem: LeastSquares,
-    *,
-    process_std: Array | None = None,
-    progress: Callable[[int, float], None] | None = None,
+    problem: LeastSquares, *, process_std: Array | None = None, progress: Callable[[int, float], None] | None = None
 ) -> Result:
     """One pass of the filter over the rows, from the prior (flat: `start_std`) to the posterior of f.
 

@@ -151,7 +151,12 @@ class PointInFrame(ToolTip):
         """Rigid fit of the nominal tips to the points (Arun, Huang and Blostein 1987); ProblemError on a line."""
         if key != "station":
             return super().propose(key, sight)
-        matrix = rigid_fit(sight.tips, np.column_stack([sight.columns[axis] for axis in AXES]))
+        places = np.column_stack([sight.columns[axis] for axis in AXES])
+        matrix = rigid_fit(sight.tips, places)
+        if len(places) > 1 and (places == places[0]).all():
+            told = ", ".join(f"{value:g}" for value in places[0])
+            what = f"All rows of {type(self).__name__} tell one place ({told}), as of a target that was lost"
+            raise ProblemError(what, "Measure again, and see that the device tells where the target is")
         if matrix is None:
             fix = "Measure at least three points that do not lie on one line"
             raise ProblemError(f"The points of {type(self).__name__} lie on a line", fix)

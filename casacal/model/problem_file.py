@@ -51,7 +51,7 @@ class ProblemFile(Value):
     """A problem, and the problem.py it was read from; `cell` is a `Cell`, or None when the file defines none.
 
     A problem that was made in Python has the path "" and the SHA-256 of what it computes. `files` are all that it was
-    made from: problem.py, modules beside it, the URDF or DH table that its arm was read from.
+    made from: problem.py, problem files that it loads itself, modules beside it, the URDF or DH table of its arm.
     """
 
     name: str
@@ -136,7 +136,8 @@ def load_problem(path: str | Path) -> ProblemFile:
     if file.is_dir():
         file = file / "problem.py"
     if not file.is_file():
-        near = sorted(p.parent.as_posix() for p in Path("problems").glob("*/problem.py"))
+        below = [each for place in (Path(path), Path("problems")) for each in place.glob("*/problem.py")]
+        near = sorted({p.parent.as_posix() for p in (*Path(path).parent.glob("problem.py"), *below)})
         known = f"; known here: {', '.join(near)}" if near else ""
         fix = f"Give a folder with a problem.py, or such a file{known}"
         raise ProblemError(f"There is no problem at '{path}'", fix)
@@ -163,7 +164,8 @@ def load_problem(path: str | Path) -> ProblemFile:
         raise ProblemError(f"{file} defines `cell` as a {type(cell).__name__}", "Make it a Cell(...)")
     name = file.parent.name if file.name == "problem.py" and file.parent.name else file.stem
     name = "".join(letter if letter.isprintable() else "_" for letter in name)  # it stands in exports
-    files = (source, *_files_of(problem, values.get(IMPORTED, ())))
+    loaded = (each for value in values.values() if isinstance(value, ProblemFile) for each in value.files)
+    files = tuple(dict.fromkeys((source, *loaded, *_files_of(problem, values.get(IMPORTED, ())))))
     return ProblemFile(name, file.as_posix(), source.sha256, problem, cell, files)
 
 

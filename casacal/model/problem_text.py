@@ -34,6 +34,9 @@ class Plate:
 BLOCK, BLOCK_SIDE = "block", 35.0  # label of a gauge block's top, and its side, mm
 HIGHEST_BLOCK = 1000.0  # mm
 FARTHEST = 1e5  # mm; no arm reaches a plate beyond it
+FACING = 0.5  # cosine from which a plate is said to face something
+ALIKE = math.cos(math.radians(1.0))  # cosine between normals that are one
+LEAST_ROOM = 50.0  # mm that the shortest dial takes before a plate
 NEAREST = 10.0  # mm; a plate nearer to the base's origin was given in metres
 
 
@@ -44,7 +47,8 @@ class Answers:
     tool: the tip at reading zero in the flange frame, mm. sign: +1 where a larger reading lengthens the tool, -1 where
     it shortens it. accuracy: absolute accuracy of the arm as its maker states it, mm. plates: the faces to touch, and
     whether they were only proposed. block: height of a gauge block on the first of them, mm. table: height of the table
-    on which everything stands, mm in the base frame. keep_out: boxes that the arm must not enter, as ranges of x, y, z.
+    on which everything stands, mm in the base frame, -inf for none. keep_out: boxes that the arm must not enter, as
+    ranges of x, y, z.
 
     Raises CasacalError for what cannot be.
     """
@@ -60,36 +64,36 @@ class Answers:
     keep_out: tuple[tuple[tuple[float, float], tuple[float, float], tuple[float, float]], ...] = ()
 
     def __post_init__(self) -> None:
-        if self.tool is not None and (len(self.tool) != 3 or not all(map(math.isfinite, self.tool))):
+        if self.tool is not None and (len(self.tool) != 3 or not all(abs(each) <= FARTHEST for each in self.tool)):
             raise CasacalError(f"The tool is {self.tool!r}", "Give three numbers of mm, such as 0,0,120")
         if self.sign not in (None, 1, -1):
             raise CasacalError(f"The dial's sign is {self.sign!r}", "Give 1 or -1")
         low, high = readings_within(10.0 if self.travel is None else self.travel)
-        if not -math.inf < low < high < math.inf or plain(low) == plain(high):
+        if not -FARTHEST < low < high < FARTHEST or plain(low) == plain(high):
             raise CasacalError(f"The dial's travel is {self.travel!r}", "Give its range in mm, such as 10 or -5:5")
         if self.accuracy is not None and not FINEST <= self.accuracy < math.inf:
             raise CasacalError(f"The maker's accuracy is {self.accuracy:g} mm", f"Give mm, {FINEST} or more")
         if self.block is not None and not 1.0 <= self.block <= HIGHEST_BLOCK:
             raise CasacalError(f"The gauge block is {self.block:g} mm high", f"Give 1 to {HIGHEST_BLOCK:g} mm")
-        if self.table is not None and not math.isfinite(self.table):
-            raise CasacalError(f"The table is at {self.table:g} mm", "Give its height in the base frame, mm")
+        if self.table is not None and not (abs(self.table) <= FARTHEST or self.table == -math.inf):
+            fix = "Give its height in the base frame, mm, or -inf for none"
+            raise CasacalError(f"The table is at {self.table:g} mm", fix)
         for box in self.keep_out:
             solid = Solid.box("box", box)
-            if not np.isfinite(box).all():
-                raise CasacalError(
-                    f"The box to keep out of is {box!r}", f"Give numbers of mm: {FARTHEST:g} is far enough"
-                )
             if (solid.low < 0).all() and (solid.high > 0).all():
                 what = f"The box to keep out of is {box!r}, and the arm stands in it"
                 raise CasacalError(what, "Give ranges of x, y and z in the base frame, beside its origin")
         labels = [plate.label for plate in self.plates] + ([] if self.block is None else [BLOCK])
         if len(set(labels)) < len(labels):
             raise CasacalError(f"Two faces share a name ({', '.join(labels)})", "Name each differently")
-        for plate in self.plates:
+        for k, plate in enumerate(self.plates):
             self._check(plate)
+            if there := next((other.label for other in self.plates[:k] if _overlap(plate, other)), ""):
+                what = f"Plates '{there}' and '{plate.label}' are in one place: in one plane, one over the other"
+                raise CasacalError(what, "Give each plate once, or the second one a place of its own")
 
     def _check(self, plate: Plate) -> None:
-        """Raise CasacalError for a plate that cannot be: no normal, in metres, or below the table."""
+        """Raise CasacalError for a plate that cannot be: no normal, in metres, below the table or facing it."""
         numbers = (*plate.centre, *plate.normal, plate.side)
         length = math.hypot(*plate.normal)
         if not plate.label.isprintable():
@@ -99,11 +103,36 @@ class Answers:
         if math.hypot(*plate.centre) < NEAREST:
             what = f"Plate '{plate.label}' is {math.hypot(*plate.centre):.3g} mm from the base's origin"
             raise CasacalError(what, "Give mm in the base frame: 0.6 m are 600")
+        if plate.side < NEAREST:
+            raise CasacalError(f"Plate '{plate.label}' is {plate.side:g} mm wide", "Give its side in mm: 0.3 m are 300")
         table, unit = self.table or 0.0, np.array(plate.normal) / length
+        above, *beside = np.abs([unit, *tangent_basis(unit).T] @ np.array(plate.centre))
+        if above < LEAST_ROOM and max(beside) < plate.side / 2:
+            fix = "Give its middle in mm in the base frame, beside the base, or a smaller side"
+            raise CasacalError(f"Plate '{plate.label}' covers the origin of the base, where the arm stands", fix)
+        low, high = np.array(self.keep_out).reshape(-1, 3, 2).transpose(2, 0, 1)
+        if ((low < plate.centre) & (plate.centre < high)).all(axis=1).any():
+            what = f"The middle of plate '{plate.label}' is in a box that the arm keeps out of (--keep-out)"
+            raise CasacalError(what, "Make the box smaller, or put the plate elsewhere")
         lowest = plate.centre[2] - float(np.abs(tangent_basis(unit)[2]).sum()) * plate.side / 2
         if lowest < table - 1e-6:
             what = f"Plate '{plate.label}' reaches down to z = {lowest:.0f} mm, and the table is at {table:g} mm"
             raise CasacalError(what, "Say where the table is: --table Z")
+        room = (plate.centre[2] - table) / -unit[2] if unit[2] < -FACING else math.inf
+        if room < max(math.hypot(*(self.tool or (0.0, 0.0, 0.0))), LEAST_ROOM):
+            what = f"Plate '{plate.label}' faces the table, {room:.0f} mm before it, where no tool has room"
+            raise CasacalError(what, f"Its normal points to where the tool comes from: {_turned(plate)}")
+
+    @property
+    def remarks(self) -> list[str]:
+        """What may be a mistake about plates: those that stand upright and turn their back on the arm."""
+        return [
+            f"plate '{each.label}' faces away from the arm's base. Its normal points to where the tool comes from; "
+            f"where that is the arm's side, write {_turned(each)}"
+            for each in self.plates
+            if np.dot(each.centre[:2], each.normal[:2])
+            > FACING * math.hypot(*each.centre[:2]) * math.hypot(*each.normal)
+        ]
 
     @property
     def faces(self) -> tuple[Plate, ...]:
@@ -138,7 +167,7 @@ class Answers:
             "faces": faces,
             "proposed": self.proposed,
             "step": step,
-            "table": plain(self.table or 0.0),
+            "table": 'float("-inf")' if self.table == -math.inf else plain(self.table or 0.0),
             "keep_out": [tuple_of(tuple_of(map(plain, each)) for each in box) for box in self.keep_out],
             "todo": {name: "" if value is not None else f" {FILL_IN}." for name, value in vars(self).items()},
             "tool": ", ".join(map(plain, self.tool or (0.0, 0.0, 0.0))),
@@ -157,6 +186,22 @@ class Answers:
             "accuracy": "the maker's accuracy: errors of 0.7 mm and 1 mrad are assumed for every parameter",
         }
         return [words for name, words in assumed.items() if getattr(self, name) is None]
+
+
+def _turned(plate: Plate) -> str:
+    """The plate as an option, facing the other way."""
+    return f"--plate {plate.label}:" + ":".join(
+        ",".join(f"{value + 0.0:g}" for value in each)
+        for each in (plate.centre, [-value for value in plate.normal], [plate.side])
+    )
+
+
+def _overlap(one: Plate, other: Plate) -> bool:
+    """Whether two plates lie in one plane, to a millimetre and a degree, look the same way, and share a part of it."""
+    normal, its = (np.array(each.normal) / math.hypot(*each.normal) for each in (one, other))
+    apart = np.subtract(one.centre, other.centre)
+    along = np.abs(tangent_basis(normal).T @ apart).max()
+    return bool(normal @ its > ALIKE and abs(normal @ apart) < 1.0 and along < (one.side + other.side) / 2)
 
 
 WIDTH = 120  # longest line of a problem file

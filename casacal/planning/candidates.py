@@ -20,7 +20,7 @@ from casacal.model.capsules import STILL, Collision, Skeleton, Solid
 from casacal.model.instrument import Probe
 from casacal.model.problem import Problem
 from casacal.model.robot import Robot, random_joints
-from casacal.simulation.cell import Cell, Disturbances, Face
+from casacal.simulation.cell import Cell, Disturbances
 from casacal.simulation.simulate import simulate, touched_rows
 from casacal.simulation.touches import PLATE, Draw, TouchingArm, default_cell, refuse_cell, true_unknowns
 from casacal.uncertainty.tip_error import Box
@@ -51,7 +51,9 @@ class Clearance(Value):
         """What there is around an arm, with the table and the faces of a cell."""
         boxes = (*self.boxes, *(() if cell is None else cell.keep_out))
         solids = [Solid.box(f"box {number}", box) for number, box in enumerate(boxes, 1)]
-        solids += [_solid(face) for face in cell.faces] if isinstance(cell, Cell) else []
+        for face in cell.faces if isinstance(cell, Cell) else ():  # as thick as a plate that lies on a table
+            low, high = (np.array([end, *(side * np.asarray(face.size) / 2)]) for end, side in ((-PLATE, -1), (0.0, 1)))
+            solids.append(Solid(f"face '{face.label}'", low, high, np.asarray(face.centre), face.axes, touched=True))
         skeleton = Skeleton.of(robot)
         radius = skeleton.radius if self.link_radius is None else self.link_radius
         known = skeleton.place is not None
@@ -99,14 +101,9 @@ class Around:
         )
 
 
-def _solid(face: Face) -> Solid:
-    """A plate behind a face, as thick as one that lies on a table."""
-    low, high = (np.array([end, *(side * np.asarray(face.size) / 2)]) for end, side in ((-PLATE, -1), (0.0, 1)))
-    return Solid(f"face '{face.label}'", low, high, np.asarray(face.centre), face.axes, touched=True)
-
-
 ROUNDS = 20  # times that more touches are drawn where some do not keep clear
 RARE = 0.05  # part of all that must keep clear, or a plan makes no sense
+JUDGED = 100  # touches that must have been tried before so small a part is believed
 
 
 def refuse_several(problem: Problem, what: str, fix: str, box: Box | None, targets: object) -> None:
@@ -169,7 +166,7 @@ def pool_of(
         refuse_cell(problem, probe, still)
     while (missing := count - sum(map(len, found))) > 0:
         share = max((count - missing) / tried, RARE) if tried else 1.0
-        number = min(math.ceil(1.1 * missing / share), count)
+        number = min(math.ceil(1.1 * missing / share), max(count, JUDGED))
         draw = Draw(seed + 7919 * len(found))
         if probe is not None and isinstance(still, Cell):
             drawn, *_ = touched_rows(problem, probe, still, number, draw, starts)
@@ -181,7 +178,7 @@ def pool_of(
             clear &= ~rows
             in_way[f"{part} against {other}"] = in_way.get(f"{part} against {other}", 0) + int(rows.sum())
         found.append(drawn.take(np.flatnonzero(clear)))
-        if len(found) == ROUNDS or sum(map(len, found)) < RARE * tried:
+        if len(found) == ROUNDS or (tried >= JUDGED and sum(map(len, found)) < RARE * tried):
             break
     else:
         pool = reduce(joined, found).take(range(count))
@@ -194,6 +191,24 @@ def pool_of(
     what = f"Only {few} of {tried} reachable touches{of_it} keep clear above the table at z = {still.table:g} mm"
     what += f". In the way: {named}"
     raise CasacalError(what, "Move the faces, make --keep-out or --link-radius smaller, or say where --table is")
+
+
+THIN = 1e-3  # mm; radius of links of which nothing is known: their axes alone must keep clear
+ROUNDED = 1.0  # mm by which a posture as a plan's file shows it may be lower than it was planned
+
+
+def hindered(problem: Problem, samples: Samples, table: float, clearance: Clearance) -> dict[int, str]:
+    """What of the drawn arm is below a table (mm), in a box or in the arm itself, by number of the touch, from 1.
+
+    For postures from elsewhere, such as a plan that was edited: faces, which may stand elsewhere by now, are not looked
+    at, and links are thin unless the clearance says more.
+    """
+    thin = replace(clearance, link_radius=THIN) if clearance.link_radius is None else clearance
+    around, found = thin.around(problem.robot, Disturbances(table=table - ROUNDED)), dict[int, str]()
+    for part, other, rows in around.collisions(samples.joints, nominal_tips(problem, 0, samples)):
+        for k in (np.flatnonzero(rows) + 1).tolist():
+            found[k] = f"{found[k]}, {part} against {other}" if k in found else f"{part} against {other}"
+    return found
 
 
 def _rare_face(pool: Samples, cell: Disturbances, probe: Probe | None) -> tuple[str, int] | None:

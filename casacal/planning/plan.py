@@ -27,8 +27,8 @@ from casacal.planning.route import AGAIN, CHECK, FIT, Route, postures_text, shor
 from casacal.planning.set_ups import POOL, SetUp, worth_most
 from casacal.simulation.cell import Cell, Disturbances
 from casacal.uncertainty.tip_error import Box
-from casacal.values import Array, FrozenMapping, Index, Rows, is_real
-from casacal.wording import METRE, UNBOUNDED, html_table
+from casacal.values import Array, FrozenMapping, Index, Rows, as_given, is_real
+from casacal.wording import METRE, UNBOUNDED, figures, html_table
 
 DRAWS = 8  # random plans of as many touches, for comparison; draws of what is lost
 LOST = 0.1  # part of the fitted touches of which it is said what losing them costs
@@ -260,11 +260,10 @@ def _refuse(touches: int, pool: int, starts: int, again: float, check: float) ->
     """Raise CasacalError for numbers that make no plan."""
     for what, value, least in (("touches", touches, 3), ("pool", pool, touches), ("starts", starts, 1)):
         if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < least:
-            shown = f"{value:g}" if is_real(value) else came(value)
-            raise CasacalError(f"Got {shown} as the {what}", f"Give a whole number from {least} on")
+            raise CasacalError(f"Got {as_given(value)} as the {what}", f"Give a whole number from {least} on")
     for what, part in (("again", again), ("check", check)):
         if not (is_real(part) and 0 <= part < 1):
-            raise CasacalError(f"Got {came(part)} as the part '{what}'", "Give a number from 0 to below 1")
+            raise CasacalError(f"Got {as_given(part)} as the part '{what}'", "Give a number from 0 to below 1")
     if touches - round(check * touches) - round(again * touches) < 3:
         raise CasacalError(f"Fewer than three of {touches} touches are fitted", "Ask for more, or check fewer")
 
@@ -301,8 +300,7 @@ def touches_for(
     """
     refuse_several(problem, "A plan is for one instrument", "Plan for", box, targets)
     if tolerance is not None and not (is_real(tolerance) and 0 < tolerance < math.inf):
-        shown = f"{tolerance:g}" if is_real(tolerance) else came(tolerance)
-        raise CasacalError(f"Got {shown} as the tolerance", "Give a positive number of mm")
+        raise CasacalError(f"Got {as_given(tolerance)} as the tolerance", "Give a positive number of mm")
     pool = pool_of(problem, cell, CANDIDATES, 0, clearance)
     bound = bound_pool(problem, pool, after, loose)
     choice = Choice.of(bound, wanted_joints(bound, box, targets), count=len(pool), loose=loose)
@@ -320,7 +318,7 @@ def touches_for(
     count = min(3 if after is not None else 12, most)
     while (left := choice.error(choice.best_of(count, 1, rng))) > tolerance:
         if count == most:
-            what = f"{most} best touches leave {left:.3g} mm, more than {tolerance:g} mm"
+            what = f"{most} best touches leave {figures(left)} mm, more than {tolerance:g} mm"
             fix = "Ask for less, measure with less noise, or add a face, a step or another instrument"
             raise CasacalError(what, fix)
         count = min(math.ceil(count * 1.25), most)
@@ -335,17 +333,13 @@ def _in_all(problem: Problem, pool: Samples, fitted: int, again: float, check: f
 
 FLAT = 0.93  # error over that of fewer touches above which more bring little
 
+HARDLY = "hardly a touch can be made"  # where faces are out of reach, or what stands around is in the way
+
 ENDS = 0.7  # error of all candidates over that of a number, below which a flat part is not the end of the curve
 
 
 def plan_sentences(
-    plan: Plan,
-    compared: Sequence[SetUp],
-    *,
-    where: str,
-    pool: int,
-    after: bool,
-    every: bool = True,
+    plan: Plan, compared: Sequence[SetUp], *, where: str, pool: int, after: bool, every: bool = True
 ) -> list[str]:
     """Sentences: the set-up that is worth most, how many, what to expect, the curve and where it flattens.
 
@@ -354,27 +348,28 @@ def plan_sentences(
     """
     fitted, check, again = (plan.purposes.count(purpose) for purpose in (FIT, CHECK, AGAIN))
     without = "Without them" if after else "Priors alone"
-    alone = f"{plan.before:.3g} mm" if plan.before < METRE else UNBOUNDED
-    left = ", ".join(f"{count} {error:.3g}" for count, error in plan.curve.items())
+    alone = f"{figures(plan.before)} mm" if plan.before < METRE else UNBOUNDED
+    left = ", ".join(f"{count} {figures(error)}" for count, error in plan.curve.items())
     flat = [few for few, many in pairwise(sorted(plan.curve)) if plan.curve[many] > FLAT * plan.curve[few]]
     flat = [few for few in flat if plan.best > ENDS * plan.curve[few]]  # or it only seems so, and many more gain much
     left += f"; more than {flat[0]} gain little" if flat else ""
     said = []
     if better := worth_most(compared) if compared else None:
         best, now = better
-        now_is = f"{now.error:.3g} mm as it is" if math.isfinite(now.error) else "this one is out of reach"
+        now_is = f"{figures(now.error)} mm as it is" if math.isfinite(now.error) else f"{HARDLY} as it is"
         said.append(
             f"Consider another set-up first ({best.words}): with {fitted} fitted touches of {POOL} candidates it "
-            f"leaves {best.error:.3g} mm, {now_is}"
+            f"leaves {figures(best.error)} mm, {now_is}"
         )
     said += [
-        f"{len(plan)} touches: {fitted} to fit, {again} of them once more, {check} kept to verify",
-        f"Expect a tip error of {plan.error:.3g} mm RMS {where}, apart from the position of the base, if the stated "
-        "noise and priors are right; effects beside the geometry are not counted",
-        f"{without}: {alone}; the same number at random: {plan.at_random:.3g} mm; all {pool} candidates: "
-        f"{plan.best:.3g} mm",
-        f"On arms that differ from the drawing as the priors allow: {plan.over_arms:.3g} mm; with a tenth of the "
-        f"touches lost: {plan.if_lost:.3g} mm",
+        f"{len(plan)} touches: {fitted} to fit, {again} of them once more, {check} kept to verify "
+        f"({check / len(plan):.0%})",
+        f"Expect a tip error of {figures(plan.error)} mm RMS {where}, apart from the position of the base, if the "
+        "stated noise and priors are right; effects beside the geometry are not counted",
+        f"{without}: {alone}; the same number at random: {figures(plan.at_random)} mm; all {pool} candidates: "
+        f"{figures(plan.best)} mm",
+        f"On arms that differ from the drawing as the priors allow: {figures(plan.over_arms)} mm; with a tenth of the "
+        f"touches lost: {figures(plan.if_lost)} mm",
         f"Number of fitted touches and expected tip error, mm: {left}",
     ]
     if compared and every:
@@ -383,8 +378,8 @@ def plan_sentences(
             f"compare with one another, not with the plan above, chosen of {pool}:"
         )
     for each in compared if every else ():
-        reach = "this arm cannot touch it" if math.isinf(each.error) else f"{each.error:.3g} mm"
-        said.append(f"  {reach}: {each.words}")
+        reach = HARDLY if math.isinf(each.error) else f"{figures(each.error)} mm"
+        said.append(f"  {reach}: {each.words}{f' ({each.option})' if each.option.count('--') == 1 else ''}")
     return said
 
 
@@ -422,7 +417,13 @@ def cell_words(plan: Plan, problem: Problem, clearance: Clearance | None) -> lis
         place = f"centre ({x:.0f}, {y:.0f}, {z:.0f}) mm, normal ({u:.3f}, {v:.3f}, {w:.3f}), {wide:.0f} x {deep:.0f} mm"
         off = each["off_mm"]
         may = "" if off is None else f"; may stand off by {off[0]:+.1f} to {off[1]:+.1f} mm along its normal"
+        may = may if each["touches"] else "; left out, no touch is planned on it"
         said.append(f"Face {each['label']}: {place}{may}")
+    if not all(each["touches"] for each in faces):
+        said.append(
+            "A face is left out where the few touches that it would get could only say where it stands, while other "
+            "faces tell more of the arm. More touches may take it in"
+        )
     if faces:
         said.append(
             "Places are in the base frame. Where a real face stands further off, bring the tip to it along the plunger "
@@ -451,7 +452,9 @@ def document(
     found["collisions"] = around.words
     found["faces"] = where_faces_stand(plan, problem)
     if compared:
-        found["setups"] = [{"words": each.words, "expected_mm": each.error} for each in compared]
+        found["setups"] = [
+            {"words": each.words, "expected_mm": each.error, "option": each.option or None} for each in compared
+        ]
     return found
 
 
@@ -465,8 +468,8 @@ def plan_text(plan: Plan, problem: Problem, name: str, clearance: Clearance | No
     notes = [
         f"planned by casacal for {name}: not a measurement",
         f"table at z = {plan.cell.table:g} mm",
-        f"expected tip error {plan.error:.4g} mm RMS, apart from the position of the base, if stated noise and priors "
-        f"are right; of as many at random {plan.at_random:.4g} mm",
+        f"expected tip error {figures(plan.error, 4)} mm RMS, apart from the position of the base, if stated noise and "
+        f"priors are right; of as many at random {figures(plan.at_random, 4)} mm",
         *cell_words(plan, problem, clearance),
         f"bring the arm to each posture; {f'{approach}; ' if approach else ''}write down the joint values that the "
         f"controller shows{', and the reading' if layout.columns else ''}",

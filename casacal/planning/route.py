@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from casacal.data.read import read_columns
-from casacal.data.samples import WRITTEN, Layout, Samples, samples_text
+from casacal.data.samples import EXPECTED, WRITTEN, Layout, Samples, samples_text
 from casacal.errors import CasacalError, SamplesError
 from casacal.fit.slots import instances
 from casacal.model.problem import Problem
@@ -20,8 +20,6 @@ from casacal.values import Array, Index, Value
 FIT, AGAIN, CHECK = "fit", "again", "check"
 PURPOSES = (FIT, AGAIN, CHECK)
 """Purposes of a touch: to be fitted; to be repeated at the end and fitted; to be kept for verification."""
-
-EXPECTED = "expected_"  # prefix of readings that are expected and not yet made
 
 
 @dataclass(frozen=True, eq=False)

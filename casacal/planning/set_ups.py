@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,14 +16,15 @@ from casacal.files import MADE
 from casacal.fit.bound_problem import bind
 from casacal.model.problem import Problem
 from casacal.model.problem_file import ProblemFile
-from casacal.model.problem_text import word
+from casacal.model.problem_text import FILL_IN, word
 from casacal.pages.drawing import plain_text
 from casacal.planning.candidates import Clearance, cell_of, pool_of
 from casacal.planning.choice import Choice, wanted_joints
 from casacal.planning.offers import STEP, block_on, fresh, raised, rising
-from casacal.simulation.cell import Cell, Disturbances
+from casacal.simulation.cell import Cell, Disturbances, Face
 from casacal.uncertainty.tip_error import Box
 from casacal.values import Array, Value, plain
+from casacal.wording import numbered_lines
 
 POOL = 600  # touches among which is chosen in each set-up
 FEW = 3  # touches of each face that show whether it is in reach
@@ -32,16 +34,17 @@ TILTS = (10.0, 30.0, 45.0)  # largest angles between plunger and face that are c
 
 @dataclass(frozen=True, eq=False)
 class SetUp(Value):
-    """A way to set the cell up, and the tip error (mm RMS) that chosen touches leave there; infinite out of reach.
+    """A way to set the cell up, and the tip error (mm RMS) that chosen touches leave there.
 
-    as_it_is: whether it is the present one.
+    It is infinite where hardly a touch can be made. option: of `casacal plan`, which makes a plan for it, or else the
+    faces as options of `casacal new`; empty as it is.
     """
 
     words: str
     problem: Problem
     cell: Cell
     error: float
-    as_it_is: bool = False
+    option: str = ""
 
 
 def set_ups(
@@ -67,7 +70,7 @@ def set_ups(
     if not 3 <= touches <= POOL:
         raise CasacalError(f"{touches} touches were asked for", f"Give 3 to {POOL}")
     found = list[SetUp]()
-    for words, other, place in _ways(problem.without_terms, still):
+    for words, option, other, place in _ways(problem.without_terms, still):
         try:
             pool_of(other, place, FEW * len(place.faces), seed, clearance)  # soon says what is out of reach
             bound = bind(other, pool_of(other, place, POOL, seed, clearance))
@@ -75,7 +78,7 @@ def set_ups(
             error = choice.error(choice.best_of(touches, 1, np.random.default_rng(seed)))
         except CasacalError:  # out of reach
             error = math.inf
-        found.append(SetUp(words, other, place, error, not found))
+        found.append(SetUp(words, other, place, error, option))
     return tuple(sorted(found, key=lambda each: each.error))
 
 
@@ -84,11 +87,8 @@ WORTH = 0.7  # error over that of the present set-up below which another one is 
 
 def worth_most(compared: Sequence[SetUp]) -> tuple[SetUp, SetUp] | None:
     """The best of some set-ups and the present one; None where the best is hardly better."""
-    best, now = min(compared, key=lambda each: each.error), [each for each in compared if each.as_it_is]
+    best, now = min(compared, key=lambda each: each.error), [each for each in compared if not each.option]
     return (best, now[0]) if now and best.error < WORTH * now[0].error else None
-
-
-GAUGE_BLOCK = "a gauge block"
 
 
 def with_block(problem: Problem, cell: Cell, height: float) -> tuple[Problem, Cell] | None:
@@ -102,41 +102,62 @@ def with_block(problem: Problem, cell: Cell, height: float) -> tuple[Problem, Ce
 
 
 def block_text(source: ProblemFile, cell: Cell, folder: Path, instrument: str | None) -> str:
-    """problem.py in a folder for a problem file and its cell with a gauge block, measured by one instrument of it."""
+    """problem.py in a folder for a problem file and its cell with a gauge block, measured by one instrument of it.
+
+    It names the lines of the problem file that are still to be filled in.
+    """
     faces = [f"Face{(face.label, *map(plain, (face.centre, face.normal, face.size)))}" for face in cell.faces]
     height = float((np.subtract(cell.faces[-1].centre, cell.faces[0].centre)) @ cell.faces[0].axes[0])
+    marked = [k for k, line in enumerate(source.files[0].text.splitlines(), 1) if FILL_IN in line]
     said = {
         "name": word(source.name),
         "faces": faces,
         "height": f"{round(height, 9):g}",
         "table": cell.table,
         "made": MADE,
+        "unchecked": numbered_lines(marked) if marked else "",
+        "block": cell.faces[-1].label,
+        "first": cell.faces[0].label,
+        "instrument": instrument,
+        "path": Path(os.path.relpath(source.path, folder)).as_posix(),
     }
-    labels = {"block": cell.faces[-1].label, "first": cell.faces[0].label, "instrument": instrument}
-    path = Path(os.path.relpath(source.path, folder)).as_posix()
-    return plain_text("block.py.txt", {**said, **labels, "path": path})
+    return plain_text("block.py.txt", said)
 
 
-def _ways(problem: Problem, cell: Cell) -> Iterator[tuple[str, Problem, Cell]]:
-    """Words, problem and cell of each."""
+def _plates(faces: Sequence[Face]) -> str:
+    """Faces as options of `casacal new`."""
+    found = []
+    for face in faces:
+        centre, normal = (
+            ",".join(f"{round(value, 3) + 0.0:g}" for value in each) for each in (face.centre, face.axes[0])
+        )
+        found.append(f"--plate={face.label}:{centre}:{normal}:{min(face.size):g}")
+    return shlex.join(found)
+
+
+def _ways(problem: Problem, cell: Cell) -> Iterator[tuple[str, str, Problem, Cell]]:
+    """Words, option, problem and cell of each."""
     count, tilt = len(cell.faces), math.degrees(cell.tilt)
-    yield f"as it is: {'one face' if count == 1 else f'{count} faces'}, tilt up to {tilt:.0f} degrees", problem, cell
+    number = "one face" if count == 1 else f"{count} faces"
+    yield f"as it is: {number}, tilt up to {tilt:.0f} degrees", "", problem, cell
     first = cell.faces[0]
     several = problem.instrument.with_faces_by_label()
     labelled = problem if several is None else Problem(problem.robot, several)
     if count > 1:
-        yield f"one plate, '{first.label}'", problem, replace(cell, faces=(first,))
+        yield f"one plate, '{first.label}'", _plates([first]), problem, replace(cell, faces=(first,))
     if several is not None:
-        higher = raised(first, HIGHER, fresh("higher", cell.faces))
+        faces = (first, raised(first, HIGHER, fresh("higher", cell.faces)))
         words = f"one plate, '{first.label}', and it again {HIGHER:g} mm higher"
-        yield words, labelled, replace(cell, faces=(first, higher))
+        yield words, _plates(faces), labelled, replace(cell, faces=faces)
         normals = np.array([face.axes[0] for face in cell.faces])
         square = np.abs(normals @ normals.T) < math.sin(math.radians(10))
         if count < 3 or (square.sum(axis=1) < 2).all():  # there are not three faces at right angles already
-            walls = (rising(first, first.axes[k], fresh(label, (first,))) for k, label in ((1, "wall"), (2, "side")))
-            yield "three faces at right angles", labelled, replace(cell, faces=(first, *walls))
+            walls = [rising(first, first.axes[k], fresh(label, (first,))) for k, label in ((1, "wall"), (2, "side"))]
+            three = replace(cell, faces=(first, *walls))
+            yield "three faces at right angles", _plates(three.faces), labelled, three
         if (blocked := with_block(problem, cell, STEP)) is not None:
-            yield f"as it is, and {GAUGE_BLOCK} of {STEP:g} mm on '{first.label}'", *blocked
+            yield f"as it is, and a gauge block of {STEP:g} mm on '{first.label}'", f"--block={STEP:g}", *blocked
     for other in TILTS:
         if abs(other - tilt) > 1:
-            yield f"as it is, tilt up to {other:.0f} degrees", problem, replace(cell, tilt=math.radians(other))
+            words = f"as it is, tilt up to {other:.0f} degrees"
+            yield words, f"--tilt={other:g}", problem, replace(cell, tilt=math.radians(other))

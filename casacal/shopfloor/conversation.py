@@ -19,7 +19,7 @@ from casacal.shopfloor.gauges import Gauge
 from casacal.shopfloor.session import Session
 from casacal.shopfloor.touch import Touch, beyond_travel
 from casacal.values import Array
-from casacal.wording import counted, sentence
+from casacal.wording import counted, figures, sentence, times
 
 UNDO, KEEP, CORRECT, SKIP, QUIT, HELP = "undo", "keep", "correct", "skip", "quit", "help"
 WORDS = {"u": UNDO, "k": KEEP, "c": CORRECT, "s": SKIP, "q": QUIT, "h": HELP, "?": HELP}
@@ -236,11 +236,11 @@ def _report(session: Session) -> str:
     if state.off is not None and state.std is not None:
         off, std = float(np.linalg.norm(state.off)), float(np.linalg.norm(state.std))
         sign = "-" if len(state.off) == 1 and state.off[0] < 0 else ""
-        said.append(f"{sign}{off:.3g} mm from what was expected (standard deviation {std:.3g} mm)")
+        said.append(f"{sign}{figures(off)} mm from what was expected (standard deviation {figures(std)} mm)")
     elif len(session) - 1 in session.waiting:
         said.append(f"face {', '.join(last.labels.values())} is not yet known well enough to judge it")
     if session.tip_error is not None and session.tip_error_below is not None:
-        said.append(f"tip error {session.tip_error:.3g} mm expected, below {session.tip_error_below:.3g}")
+        said.append(f"tip error {figures(session.tip_error)} mm expected, below {figures(session.tip_error_below)}")
     if session.noise > 1:
         said.append(f"touches scatter {session.noise:.2g} times the stated noise; figures allow for it")
     return "; ".join(said)
@@ -253,8 +253,8 @@ def doubt(session: Session) -> list[str]:
         return []
     size = abs(alarm.off) / alarm.std if alarm.std > 0 else math.inf
     said = [
-        f"warning: touch {session.shown(alarm.raised_by)} is off by {alarm.off:.3g} mm, {size:.2g} times what was to "
-        "be expected. What would explain it, the likeliest first:"
+        f"warning: touch {session.shown(alarm.raised_by)} is off by {figures(alarm.off)} mm, {times(size)} times "
+        "what was to be expected. What would explain it, the likeliest first:"
     ]
     for k, each in enumerate(alarm.suspects, 1):
         cause, chance = "no known cause explains it" if each.slip is None else each.slip.words, each.chance
@@ -285,7 +285,7 @@ def ended(session: Session) -> list[str]:
     if (checked := session.checked()) is not None:
         off, std = (float(np.sqrt((each**2).sum(axis=1).mean())) for each in checked)
         count = counted(len(checked[0]), "touch")
-        said.append(f"{count} kept to verify: off by {off:.3g} mm RMS, {std:.3g} to be expected")
+        said.append(f"{count} kept to verify: off by {figures(off)} mm RMS, {figures(std)} to be expected")
         if session.checked_chance() < UNLIKELY:
             said.append(
                 "warning: so far off they do not agree with the others; before anything relies on them, casacal check "

@@ -31,7 +31,7 @@ from casacal.shopfloor.known import (
 from casacal.shopfloor.touch import Slip, Touch, columns_of, joints_of, labels_of, rows_of, slips_of
 from casacal.simulation.cell import Disturbances
 from casacal.uncertainty.tip_error import Box
-from casacal.values import Array, Value, is_real
+from casacal.values import Array, Value, as_given, is_real
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -71,8 +71,8 @@ class Session(Value):
         refuse_several(self.problem, "A session uses one instrument", "Give", self.box, self.targets)
         if self.plan is not None and not isinstance(self.plan, Route):
             raise CasacalError(f"Got {came(self.plan)} as the plan", "Give what plan() or read_route() returns")
-        if self.tolerance is not None and not (is_real(self.tolerance) and self.tolerance > 0):
-            raise CasacalError(f"Got {came(self.tolerance)} as the tolerance", "Give a positive number of mm")
+        if self.tolerance is not None and not (is_real(self.tolerance) and 0 < self.tolerance < math.inf):
+            raise CasacalError(f"Got {as_given(self.tolerance)} as the tolerance", "Give a positive number of mm")
         object.__setattr__(self, "problem", self.problem.without_terms)  # some need columns that nobody types in
 
     def __len__(self) -> int:

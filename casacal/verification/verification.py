@@ -14,7 +14,7 @@ from casacal.pages.drawing import fixed, rendered, shortened
 from casacal.values import Value
 from casacal.verification.arm_error import Decision, PartError
 from casacal.verification.page import LONGEST, boxes, error_rows, errors_picture
-from casacal.wording import capital, chance, counted, mm, numbered_lines
+from casacal.wording import capital, chance, counted, figures, mm, numbered_lines
 from casacal.wording import shortened as first_few
 from casacal.wording import times as in_two
 
@@ -275,7 +275,7 @@ def _interval(part: PartError) -> str:
 
 def _noise(found: Verification) -> str:
     """Sentence on the noise removed, and on whose error remains."""
-    said = f"Noise removed: {found.noise_mm:.3g} mm"
+    said = f"Noise removed: {figures(found.noise_mm)} mm"
     if found.noise_mm * WORTH_SAYING < found.noise_stated_mm:
         return f"{said}. The problem states {found.noise_stated_mm:.3g}, but the residuals are too small for that much."
     if found.noise_mm * WORTH_SAYING < found.noise_most_mm:
@@ -293,7 +293,7 @@ def _decision(found: Verification) -> list[str]:
     if decision is None:
         return []
     hidden = "" if decision.measured_mm > 0 else " (the residuals are no larger than the noise)"
-    size = f"{decision.measured_mm:.3g} mm RMS{hidden}"
+    size = f"{figures(decision.measured_mm)} mm RMS{hidden}"
     what = f"{size}, {found.measurand}, against a tolerance of {decision.tolerance_mm:g} mm"
     verdict, reserves = f"{VERDICTS[decision.verdict]}: {what}.", ""
     if decision.verdict == "accept":
@@ -301,12 +301,12 @@ def _decision(found: Verification) -> list[str]:
             why = "the result must not be used" if found.kept else "the promise was not kept"
             verdict = f"Tolerance: {what}. That alone would be accepted, but {why}."
         if decision.rests_on_noise:
-            noise = f"{found.noise_mm:.3g} mm"
+            noise = f"{figures(found.noise_mm)} mm"
             reserves += f" Acceptance depends on the noise of {noise}: without it the arm would not be accepted."
         if not found.accuracy:
             reserves += f" This decides on what these {found.things} see, not on the position of the tip."
         if found.overall is not None and found.overall.before.high_mm < decision.tolerance_mm:
-            drawn = f"{found.overall.before.mm:.3g} mm"
+            drawn = f"{figures(found.overall.before.mm)} mm"
             reserves += f" The arm as drawn ({drawn}) would be accepted as well. Is the tolerance in mm?"
     said = [f"{verdict} {_limits(decision)}{reserves}"]
     if decision.verdict == "undecided" and decision.hangs_on_gross:
@@ -327,15 +327,15 @@ def _limits(decision: Decision) -> str:
     lowest = (
         f"Too few rows or too much noise to accept anything (guard band: all of the {decision.tolerance_mm:g} mm)"
         if math.isnan(decision.accept_below_mm)
-        else f"Accepted up to {decision.accept_below_mm:.3g} (guard band {decision.guard_mm:.3g} mm)"
+        else f"Accepted up to {figures(decision.accept_below_mm)} (guard band {figures(decision.guard_mm)} mm)"
     )
     p = decision.probability
     within = (
         f"more than {100 * CERTAIN:.2f} %" if p > CERTAIN else "less than 0.01 %" if p < 1e-4 else f"{100 * p:.3g} %"
     )
     return (
-        f"Probability of being within tolerance: {within}. {lowest}, rejected from {decision.reject_above_mm:.3g} mm. "
-        "An arm exactly at the tolerance is wrongly accepted, or wrongly rejected, with a chance of about "
+        f"Probability of being within tolerance: {within}. {lowest}, rejected from {figures(decision.reject_above_mm)} "
+        "mm. An arm exactly at the tolerance is wrongly accepted, or wrongly rejected, with a chance of about "
         f"{100 * decision.risk:g} % at most (JCGM 106:2012, guarded)."
     )
 

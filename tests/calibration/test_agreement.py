@@ -12,7 +12,9 @@ from scipy.stats import chi2
 
 from casacal import Instrument, Problem, bind, calibrate, check, lm, load_problem, simulate
 from casacal.calibration.agreement import UNWEIGHTED, _least_expected, _own_noise, disagreement
+from casacal.calibration.set_aside import gross
 from casacal.calibration.verdict import verdict_of
+from casacal.data.samples import Measurements
 from casacal.errors import ProblemError
 from casacal.uncertainty.tip_error import workspace_joints
 from tests.three_instruments import CELL, COUNTS, problem
@@ -84,6 +86,23 @@ def test_the_chance_is_that_of_the_others_prediction():
     left = moved.residual(others.x)[rows]  # at another minimum, so that the two differ by what is not linear
     square = left @ np.linalg.solve(jacobian[rows] @ spread @ jacobian[rows].T + np.eye(len(left)), left)
     assert np.log(chance) == pytest.approx(chi2(len(left) - lost.sum()).logsf(square), rel=0.05)
+
+
+@pytest.mark.parametrize("few", [6, 8])
+def test_one_false_row_among_few_is_named_as_it_is_set_aside(few):
+    """Which a tracker alone does not show: six of its rows place it, and the dial's say where the arm is."""
+    source = load_problem(ROOT / "problems" / "ur5_three_instruments")
+    every = source.problem
+    sets = [every.read(source.samples_of(i), i) for i in range(len(every.names))]
+    tracked = sets[1].take(np.arange(0, 2 * few, 2))
+    columns = {**tracked.columns, "z": tracked.columns["z"] + 2.0 * (np.arange(few) == 1)}
+    sets[1] = dataclasses.replace(tracked, columns=columns)
+    found = check(every, Measurements(every.names, tuple(sets)))
+    (wrong,) = [each for each in found if each.severity == "error"]
+    assert (wrong.about, wrong.instrument, wrong.lines) == ("outliers", "tracker", (tracked.lines[1],))
+    bad, aside = gross(bind(every, *sets))
+    assert np.flatnonzero(bad).tolist() == [len(sets[0]) + 1]
+    assert aside == (wrong,)
 
 
 @pytest.mark.parametrize("seed", range(3))

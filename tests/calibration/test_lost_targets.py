@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from casacal import KnownPoint, Problem, check, load_problem
+from casacal import CasacalError, KnownPoint, Problem, check, load_problem
 from casacal.calibration.before_fit import lost_targets
 from casacal.errors import SamplesError
 from casacal.fit.bound_problem import bind
@@ -38,6 +38,37 @@ def test_what_no_device_tells_is_a_lost_target(tracker, value, rows):
     problem, samples = tracker
     (found,) = check(problem, at(samples, rows, value))
     assert (found.severity, found.about, found.lines) == ("error", "lost target", lines(samples, rows))
+
+
+@pytest.mark.parametrize("value", [0.0, 9999.0, -3.697314e28])
+def test_a_file_of_lost_targets_alone_is_called_so(tracker, value):
+    problem, samples = tracker
+    none = at(samples, np.arange(len(samples)), value)
+    (found,) = check(problem, none)
+    assert (found.severity, found.about, found.lines) == ("error", "lost target", tuple(samples.lines))
+    assert "in any row" in found.cause
+    if abs(value) < 1e12:
+        with pytest.raises(CasacalError, match=rf"tell one place \({value:g}, .* of a target that was lost"):
+            bind(problem, none)
+
+
+@pytest.mark.parametrize(
+    ("value", "rows", "found"),
+    [
+        (-3.697314e28, None, "lost reading"),
+        (9999.0, None, "lost reading"),
+        (-3.697314e28, [3, 7, 20], "lost reading"),
+        (12.0, None, "readings outside travel"),
+    ],
+)
+def test_a_dial_that_was_not_read_is_called_so(hsr, value, rows, found):
+    """In all rows or in some; a dial that always shows 12 mm of 10 is another matter."""
+    samples = hsr.problem.read(hsr.samples)
+    lost = np.arange(len(samples)) if rows is None else rows
+    reading = samples.columns["reading"].copy()
+    reading[lost] = value
+    first = check(hsr.problem, replace(samples, columns={"reading": reading}))[0]
+    assert (first.about, first.lines) == (found, lines(samples, lost))
 
 
 def test_what_is_wrong_beside_lost_targets_is_found_too(tracker):

@@ -59,6 +59,31 @@ def test_plates_and_a_block_stand_where_they_were_said_to(made, capsys):
     assert "on a table at z = 100 mm" in (place / "README.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize(
+    ("plates", "away"),
+    [
+        (["wall:900,200,300:2,0,0"], "--plate wall:900,200,300:-2,0,0:300"),
+        (["wall:900,200,300:-2,0,0"], ""),
+        (["wall:-600,-600,300:-1,-1,0:200"], "--plate wall:-600,-600,300:1,1,0:200"),
+        (["shelf:900,200,300", "low:900,200,200", "beside:900,551,200:300", "lid:800,0,500:0,0,-1"], ""),
+    ],
+)
+def test_a_plate_that_turns_its_back_on_the_arm_is_said_with_the_cure(made, capsys, plates, away):
+    code, place = made(f"facing{len(plates)}{len(away)}", *(word for each in plates for word in ("--plate", each)))
+    assert code == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert ("faces away from the arm's base" in said) == bool(away)
+    assert away in said
+    assert len(load_problem(place).cell.faces) == len(plates)
+
+
+def test_an_arm_may_stand_on_no_table(made):
+    code, place = made("hanging", "--table=-inf", "--plate", "floor:700,0,-640:300")
+    assert code == 0
+    assert load_problem(place).cell.table == -np.inf
+    assert "problem.py, without a table;" in (place / "README.md").read_text(encoding="utf-8")
+
+
 def test_a_block_stands_on_its_plate_along_the_normal(made):
     code, place = made("leaning", "--plate", "ramp:700,0,400:3,0,4:200", "--block", "100")
     assert code == 0
@@ -119,7 +144,22 @@ def test_boxes_to_keep_out_of_are_kept_and_obeyed(made, tmp_path, capsys):
         (["--keep-out", "600:400,0:100,0:100"], "Give ranges of x, y and z in mm, each rising"),
         (["--keep-out", "-50:900,-100:100,-1:500"], "and the arm stands in it"),
         (["--keep-out", "50:inf,0:100,0:100"], "Give numbers of mm"),
-        (["--keep-out", "50:nan,0:100,0:100"], "each rising"),
+        (["--keep-out", "50:nan,0:100,0:100"], "--keep-out is 50:nan,0:100,0:100. Give numbers of mm"),
+        (["--keep-out", "0:100,0:100,-inf:0"], "100000 is far enough"),
+        (["--plate", "a:25,-6,1:300"], "covers the origin of the base"),
+        (["--plate", "a:700,0,40:0.3"], "0.3 m are 300"),
+        (
+            ["--plate", "a:700,0,40:300", "--keep-out", "400:900,-400:400,0:500"],
+            "is in a box that the arm keeps out of",
+        ),
+        (["--travel", "1e308"], "The dial's travel is 1e+308"),
+        (["--tool", "0,0,1e308"], "Give three numbers of mm"),
+        (["--table", "1e308"], "The table is at 1e+308 mm"),
+        (["--table", "inf"], "or -inf for none"),
+        (["--plate", "a:700,0,40:200", "--plate", "b:840,0,40:100"], "Plates 'a' and 'b' are in one place"),
+        (["--plate", "a:700,0,40:1,0,9", "--plate", "b:700,0,40:1,0,9.1"], "Plates 'a' and 'b' are in one place"),
+        (["--plate", "a:700,0,90:0,0,-1:300"], "faces the table, 90 mm before it, where no tool has room"),
+        (["--plate", "a:700,0,90:0,0,-1:300"], "where the tool comes from: --plate a:700,0,90:0,0,1:300"),
         (["--keep-out", "50:60,0:100"], "is not X0:X1,Y0:Y1,Z0:Z1"),
         (["--plate", "floor:0.7,0,0.04"], "Give mm in the base frame: 0.6 m are 600"),
         (["--plate", "floor:700,0,-40"], "reaches down to z = -40 mm, and the table is at 0 mm"),

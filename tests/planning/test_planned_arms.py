@@ -1,5 +1,7 @@
 """Plans of five arms from their makers' tables, looked at by kinematics of our own: nothing goes below the table."""
 
+import argparse
+import dataclasses
 import io
 import json
 import math
@@ -8,6 +10,7 @@ import re
 import shlex
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -17,10 +20,12 @@ from planned_arms import ARMS
 
 from casacal import CasacalError, Cell, Face, Parameter, Robot, chain, corner, load_problem, plan
 from casacal.cli.main import main
+from casacal.cli.plan import _following
 from casacal.errors import SimulationError
 from casacal.model.capsules import above_table
 from casacal.model.kinematics import translate_x
-from casacal.planning.candidates import Clearance
+from casacal.planning.candidates import Clearance, pool_of
+from casacal.planning.set_ups import set_ups
 from casacal.simulation.cell import Disturbances
 from casacal.simulation.touches import default_cell
 
@@ -187,7 +192,7 @@ def test_what_is_in_the_way_is_named(folders):
     source = load_problem(folders["UR5"])
     wall = ((250.0, 260.0), (-2000.0, 2000.0), (-2000.0, 2000.0))
     plate = Cell(faces=(Face("p", (600.0, 0.0, 50.0), (0, 0, 1), (100.0, 100.0)),))
-    with pytest.raises(CasacalError, match=r"Only 0 of 60 .* In the way: link \d against box 1 \(\d+%\)"):
+    with pytest.raises(CasacalError, match=r"Only 0 of \d+ .* In the way: link \d against box 1 \(\d+%\)"):
         plan(source.problem, plate, touches=20, pool=60, clearance=Clearance((wall,)))
 
 
@@ -255,6 +260,113 @@ def test_slips_of_a_hurried_user_are_said(folders, tmp_path, monkeypatch, capsys
     assert main(["plan", str(folders["UR5"]), "--touches", "12", "--pool", "60", *typed]) == 2
     assert said in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def _new(folders, place, name, *plates):
+    """A folder for a UR10e with plates of its own; the dial's sign is not said."""
+    table = folders["UR10e"].parent / "ur10e.csv"
+    table.write_text(BY_NAME["UR10e"].csv())
+    words = [word for plate in plates for word in ("--plate", plate)]
+    common = ["--tool", "0,0,120", "--travel", "10", "--accuracy", "1", "--out", str(place)]
+    assert main(["new", name, "--dh", str(table), *common, *words]) == 0
+    return place / name
+
+
+def test_a_plate_that_few_postures_reach_is_not_called_out_of_reach(folders, tmp_path):
+    """Of touches from below, three in ten keep clear: of the first three that are drawn none may."""
+    source = load_problem(_new(folders, tmp_path, "under", "under:600,0,400:0,0,-1:300"))
+    for seed in range(6):
+        assert len(pool_of(source.problem, source.cell, 3, seed)) == 3
+    with pytest.raises(SimulationError):
+        pool_of(source.problem, Cell(faces=(Face("far", (3000, 0, 400), (0, 0, 1)),)), 3, 0)
+
+
+def test_a_plate_that_the_plan_leaves_out_is_said_with_why(folders, tmp_path, capsys):
+    plates = ["a:650,-150,20", "b:650,250,20", "w:900,-200,300:-1,0,0", "s:600,-500,300:0,1,0", "h:500,-300,400:100"]
+    place, out = _new(folders, tmp_path, "many", *plates), tmp_path / "p.csv"
+    capsys.readouterr()
+    assert main(["plan", str(place), "--pool", "300", "--touches", "30", "--out", str(out)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    touched = set(pd.read_csv(out, comment="#")["plane"])
+    for name in "abwsh":
+        words = said.split(f"Face {name}: ")[1].split("Face ")[0]
+        assert ("left out, no touch is planned on it" in words) == (name not in touched)
+    assert len(touched) < 5
+    assert "could only say where it stands" in said
+    kept = (pd.read_csv(out, comment="#")["purpose"] == "check").sum()
+    assert f"{kept} kept to verify ({kept / 30:.0%})" in said, "as many as the rows"
+
+
+def test_each_set_up_is_advised_with_what_to_type(folders, tmp_path, monkeypatch, capsys):
+    """A larger tilt as an option of plan; plates as options of new, which make the cell that was compared."""
+    monkeypatch.chdir(tmp_path)
+    place = _new(folders, tmp_path, "one", "floor:650,-150,20:300")
+    source = load_problem(place)
+    monkeypatch.setattr("casacal.planning.set_ups.POOL", 60)
+    compared = set_ups(source.problem, source.cell, touches=20)
+    found = {each.option.partition("=")[0]: each for each in compared}
+    assert set(found) == {"", "--plate", "--block", "--tilt"}
+    assert main(["plan", str(place), "--touches", "12", "--pool", "60", "--tilt", "45", "--out", "p.csv"]) == 0
+    assert main(["plan", str(place), "--touches", "12", "--pool", "60", "--tilt", "95", "--out", "q.csv"]) == 2
+    assert "Give 0 to less than 90" in capsys.readouterr().err
+    tracker = str(ROOT / "problems" / "instruments" / "tracker")
+    assert main(["plan", tracker, "--touches", "12", "--tilt", "45", "--out", "q.csv"]) == 2
+    assert "--tilt is about faces" in capsys.readouterr().err
+    options = argparse.Namespace(typed="casacal plan one --out p.csv", instrument=None, table=None, link_radius=None,
+                                 keep_out=[], out="p.csv")  # fmt: skip
+    now = dataclasses.replace(found[""], error=1.0)
+    first, *_ = _following(options, [now, dataclasses.replace(found["--tilt"], error=0.1)], place, of_one=False)
+    assert first == f"To do so: casacal plan one --out p.csv {found['--tilt'].option}"
+    three = next(each for each in compared if "three" in each.words)
+    first, *_ = _following(options, [now, dataclasses.replace(three, error=0.1)], place, of_one=False)
+    made = _new(folders, tmp_path, "three", *(word.removeprefix("--plate=") for word in shlex.split(three.option)))
+    for one, other in zip(load_problem(made).cell.faces, three.cell.faces, strict=True):
+        np.testing.assert_allclose(one.centre, other.centre, atol=1e-3)
+        np.testing.assert_allclose(one.axes[0], other.axes[0], atol=1e-3)
+    assert first == f"To do so: casacal new with {three.option}"
+
+
+def test_postures_that_somebody_wrote_into_a_plan_are_looked_at(folders, tmp_path, monkeypatch, capsys):
+    """An arm that lies down, its tip below the table by our own kinematics, in the third line; and one in a box."""
+    monkeypatch.chdir(tmp_path)
+    problem = str(folders["UR10e"])
+    assert main(["plan", problem, "--touches", "12", "--pool", "60", "--out", "p.csv"]) == 0
+    rows = pd.read_csv("p.csv", comment="#")
+    low = [0.0, -2.0, 20.0, 90.0, 90.0, 0.0]
+    assert BY_NAME["UR10e"].origins(low)[-1][2] < -50
+    text = Path("p.csv").read_text().splitlines()
+    rows.loc[2, [f"q{k}_deg" for k in range(1, 7)]] = low
+    head = "\n".join(line for line in text if line.startswith("#"))
+    Path("low.csv").write_text(f"{head}\n{rows.to_csv(index=False)}")
+    capsys.readouterr()
+    for plan_file, words in (("p.csv", []), ("low.csv", ["the tool against the table"])):
+        monkeypatch.setattr("sys.stdin", io.StringIO("s\ns\nq\n"))
+        assert main(["measure", problem, "--plan", plan_file, "--out", "m.csv"]) == 0
+        said = capsys.readouterr().out
+        assert said.count("warning: do not go to the next posture") == len(words)
+        assert all(each in said.split("touch 2 is left out")[1].split("touch 3")[0] for each in words)
+        assert main(["simulate", problem, "--plan", plan_file, "--out", "s.csv"]) == 0
+        said = capsys.readouterr().out
+        assert ("an arm cannot be in these postures of the plan: touch 3 (" in said) == bool(words)
+    monkeypatch.setattr("sys.stdin", io.StringIO("q\n"))
+    box = ["--keep-out", "100:2000,-900:900,0:900"]
+    assert main(["measure", problem, "--plan", "p.csv", *box, "--out", "m.csv"]) == 0
+    assert "link 4 against box 1" in capsys.readouterr().out.split("touch 1")[0]
+
+
+def test_a_block_beside_an_unfinished_problem_says_what_is_to_fill_in(folders, tmp_path, capsys):
+    place = _new(folders, tmp_path, "bare", "floor:650,-150,20:300")
+    asked = ["plan", str(place), "--block", "50", "--touches", "50", "--pool", "120", "--out", str(tmp_path / "p.csv")]
+    assert main(asked) == 0
+    marked = [k for k, line in enumerate((place / "problem.py").read_text().splitlines(), 1) if "TO FILL IN" in line]
+    blocked = tmp_path / "bare_block"
+    assert f"To fill in there, which counts here as well: line {marked[0]}." in (blocked / "problem.py").read_text()
+    assert [Path(file.path).parent.name for file in load_problem(blocked).files] == ["bare_block", "bare"]
+    rows = str(tmp_path / "s.csv")
+    assert main(["simulate", str(blocked), "--plan", str(tmp_path / "p.csv"), "--out", rows]) == 0
+    capsys.readouterr()
+    main(["calibrate", str(blocked), rows, "--no-reference"])
+    assert "1 line of the problem file is marked TO FILL IN" in capsys.readouterr().out
 
 
 @pytest.mark.skipif(os.name == "nt", reason="devices of POSIX")
