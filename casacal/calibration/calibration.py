@@ -61,7 +61,7 @@ from casacal.uncertainty.tip_error import (
     workspace_joints,
 )
 from casacal.values import Array, FrozenMapping, Value
-from casacal.wording import listed
+from casacal.wording import listed, mm
 
 if TYPE_CHECKING:
     from casacal.calibration.earlier import EarlierResult
@@ -266,7 +266,8 @@ class Calibration(Value):
         known = {each.words for each in self.leverages}  # with priors of their own
         trusted = [each.words.trusted for each in self.fit.problem.instruments if each.words.trusted not in known]
         telling = self.telling_constant
-        names = [noise, "priors", *dict.fromkeys(filter(None, trusted)), *([telling.within] if telling else [])]
+        within = [f"{telling.within} ({mm(telling.left_mm)} of this; {telling.cure} would tell)"] if telling else []
+        names = [noise, "priors", *dict.fromkeys(filter(None, trusted)), *within]
         return listed(names)
 
     @cached_property

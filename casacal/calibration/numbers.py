@@ -20,7 +20,7 @@ from casacal.model.problem import Problem
 from casacal.model.unknown import Parameter
 from casacal.uncertainty.evidence import evidence, normal_equations
 from casacal.uncertainty.figures import noise_interval
-from casacal.uncertainty.moves import DULL, chance_of_move, common_scale
+from casacal.uncertainty.moves import chance_of_move, common_scale
 from casacal.uncertainty.noise import found_noise
 from casacal.uncertainty.tip_error import tip_rms, tip_stds, without_rigid, workspace_joints
 from casacal.values import Array, Index
@@ -143,6 +143,8 @@ WIDE = {"rad": 0.1, "mm": 20.0}  # smallest prior under which `calibrate` tries 
 TWISTS = "alpha", "beta"  # angles of a DH table that no mastering moves
 WRONG = 5.0  # prior standard deviations from the drawing at which a number is another, not an error of manufacture
 SURE = 3.0  # standard deviations, with the noise as found, by which it must lie beyond
+
+SEEN = 0.05  # part of a prior's variance that the rows must take away before they say that the number is another
 
 ALONE = 16.0
 """Times the others' mean by which what a number's prior costs must stand out: four standard deviations, squared."""
@@ -301,7 +303,7 @@ def _promising(bound: BoundProblem, x: Array, variances: Array) -> list[tuple[st
     for name, key, std, unit in priors_of(bound.problem):
         j = bound.names.index(name)
         learned = std**2 - variances[j]
-        gains[name, key, unit] = float(x[j] ** 2 / learned) if learned > DULL * std**2 else 0.0
+        gains[name, key, unit] = float(x[j] ** 2 / learned) if learned > SEEN * std**2 else 0.0
     order, total = sorted(gains, key=lambda each: -gains[each]), sum(gains.values())
     others = max(len(gains) - 1, 1)
     return [each for each in order[:TRIED] if gains[each] > ALONE * max((total - gains[each]) / others, 1.0)]

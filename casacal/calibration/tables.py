@@ -163,7 +163,7 @@ def constants(calibration: Calibration) -> PrintedTable:
         "#Standard deviation",
         "#That moves the tip by, mm",
         "#Left in the tip error, mm",
-        "Cure",
+        "Told by",
     )
     return PrintedTable(titles, rows)
 

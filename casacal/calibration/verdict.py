@@ -114,10 +114,10 @@ def _far_parameters(calibration: Calibration) -> Doubt | None:
         said = f"Parameters moved by more than {FAR:g} prior standard deviations: {named}. "
         said += f"Together they moved {factor}"
     if calibration.borne_out:
-        names = sorted(calibration.borne_out)
-        said += f". Regions of postures that were left out bear out that {listed(names)} of this arm "
-        said += f"differ{'s' if len(names) == 1 else ''} from the drawing"
-        wider = f"correct {listed(names)} in the problem file, or state wider priors (--prior, --accuracy)"
+        elsewhere = sorted(calibration.borne_out)
+        said += f". Regions of postures that were left out bear out that {listed(elsewhere)} of this arm "
+        said += f"differ{'s' if len(elsewhere) == 1 else ''} from the drawing"
+        wider = f"correct {listed(elsewhere)} in the problem file, or state wider priors (--prior, --accuracy)"
         return Doubt("parameters moved far beyond their priors", f"{said}. {capital(wider)}.", wider)
     return Doubt(
         "parameters moved far beyond their priors",
@@ -391,11 +391,9 @@ def _expected(calibration: Calibration) -> str:
     names = calibration.fit.problem.names
     whose = f" ({names[0]})" if len(names) > 1 else ""
     at_flange = f" and {mm(flange)} at the flange" if math.isfinite(flange) else ""
-    constant = calibration.telling_constant
-    owed = f" {mm(constant.left_mm)} of it are {constant.words}: {constant.cure} makes it known." if constant else ""
     return (
         f"expect a tip error{whose} of {least}{mm(now)} RMS over the workspace (before: {mm(before)})"
-        f"{at_flange}, {trusted}.{owed}"
+        f"{at_flange}, {trusted}."
     )
 
 

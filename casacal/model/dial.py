@@ -219,10 +219,12 @@ class DialOnPlane(Instrument):
         if not self.reading:
             return {}
         words = "the direction of the plunger"
-        found = dict(held_trusted("plunger", self.plunger, words, PLUNGER_STD, cure="declare plunger=Direction(...)"))
+        found = dict(
+            held_trusted("plunger", self.plunger, words, PLUNGER_STD, cure="plunger=Direction(...) in the problem")
+        )
         if self.gain is None:
             gain = dial_gain()
-            std, cure = float(gain.prior_std), "a gauge block of known height beside a face"  # type: ignore[arg-type]
+            std, cure = float(gain.prior_std), "a gauge block"  # type: ignore[arg-type]
             found["gain"] = Trusted(words="the dial's gain", std=std, unit=gain.unit, scales=("reading",), cure=cure)
         return found
 

@@ -99,7 +99,7 @@ class Trusted:
 
     words: as people call it. std: standard deviation of its error, in `unit`. scales: columns that err in proportion,
     with `std` in percent. shifts: key of a held unknown that stands elsewhere, a direction by two tilts. cure: what
-    would make it known, as a clause.
+    would tell it, as a noun.
     """
 
     words: str

@@ -112,7 +112,7 @@ class Sockets(ToolTip):
     @property
     def trusted(self) -> Mapping[str, Trusted]:
         """How far the sockets are apart."""
-        return scale_trusted("the sockets' distances", PLATE_SCALE, "along", cure="measure the bar")
+        return scale_trusted("the sockets' distances", PLATE_SCALE, "along", cure="measuring the bar")
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Vector from the socket to the ball's centre (3, mm)."""
@@ -179,7 +179,7 @@ class TrackedPoint(PointInFrame):
     @property
     def trusted(self) -> Mapping[str, Trusted]:
         """The scale of the tracker's lengths."""
-        return scale_trusted("the scale of the coordinates", TRACKER_SCALE, *AXES, cure="check it on a known length")
+        return scale_trusted("the scale of the coordinates", TRACKER_SCALE, *AXES, cure="a known length")
 
     @property
     def suspects(self) -> tuple[Suspect, ...]:
@@ -233,7 +233,7 @@ class KnownPoint(PointInFrame):
     @property
     def trusted(self) -> Mapping[str, Trusted]:
         """How far the points are apart."""
-        return scale_trusted("the points' coordinates", PLATE_SCALE, *AXES, cure="measure the plate")
+        return scale_trusted("the points' coordinates", PLATE_SCALE, *AXES, cure="measuring the plate")
 
     @property
     def known_columns(self) -> Mapping[str, Mapping[str, float]]:
@@ -274,7 +274,7 @@ class SphereTouch(ToolTip):
     @property
     def trusted(self) -> Mapping[str, Trusted]:
         """The radius, where it is held."""
-        return held_trusted("radii", self.radii, "the radius of spheres and probe", RADIUS_STD, cure="measure both")
+        return held_trusted("radii", self.radii, "the radius of spheres and probe", RADIUS_STD, cure="measuring both")
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Gap between ball and sphere, mm."""
@@ -309,7 +309,7 @@ class SelfContact(ToolTip):
     @property
     def trusted(self) -> Mapping[str, Trusted]:
         """The sum of both radii, where it is held."""
-        return held_trusted("apart", self.apart, "the radii of the balls", RADIUS_STD, cure="measure both")
+        return held_trusted("apart", self.apart, "the radii of the balls", RADIUS_STD, cure="measuring both")
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Gap between the balls, mm."""
@@ -342,7 +342,7 @@ class Distance(ToolTip):
     @property
     def trusted(self) -> Mapping[str, Trusted]:
         """The scale of the lengths."""
-        return scale_trusted("the scale of the lengths", WIRE_SCALE, "length", cure="check it on a known length")
+        return scale_trusted("the scale of the lengths", WIRE_SCALE, "length", cure="a known length")
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Predicted minus read length, mm."""

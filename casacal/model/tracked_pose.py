@@ -131,7 +131,7 @@ class TrackedPose(Instrument):
     @property
     def trusted(self) -> Mapping[str, Trusted]:
         """The scale of the positions."""
-        return scale_trusted("the scale of the poses", POSE_SCALE, *POSITION, cure="check it on a known length")
+        return scale_trusted("the scale of the poses", POSE_SCALE, *POSITION, cure="a known length")
 
     @property
     def suspects(self) -> tuple[Suspect, ...]:

@@ -70,7 +70,7 @@ def test_clean_well_specified_samples_are_calibrated(hsr, seed):
     )
     found = calibrate(hsr.problem, samples, reference=False)
     assert (verdict_of(found).level, verdict_of(found).reasons) == ("calibrated", ())
-    assert 0.55 < found.tip_std[1] < 0.70
+    assert 0.72 < found.tip_std[1] < 0.82, "and 0.60 if the dial's gain were exact"
 
 
 @pytest.mark.long_unless("joints rounded")
@@ -270,7 +270,7 @@ def moved_to(calibration, far):
 def test_who_trusts_the_stated_noise_is_told_at_least(hsr):
     trusted = calibrate(hsr.problem, in_cell(hsr, repeatability=0.016), reference=False, noise="stated")
     assert "at least" in verdict_of(trusted).words
-    assert "if the stated noise, priors and the dial's gain are right" in verdict_of(trusted).words
+    assert "if the stated noise, priors and the dial's gain within 0.15 % (" in verdict_of(trusted).words
 
 
 def test_a_set_up_that_leaves_places_unknown_is_used_with_care(hsr):
@@ -537,7 +537,7 @@ def test_long_paths_do_not_push_the_answer_off_the_screen(clean, reasons, width)
 def test_reasons_that_do_not_fit_are_counted(clean):
     sentence = "Something is not quite as it should be, and this sentence takes more than a line to say so."
     verdict = dataclasses.replace(verdict_of(clean), reasons=tuple(f"{k}. {sentence}" for k in range(12)))
-    for room in (9, 10, 11, 12, 13, 14, 15):
+    for room in (10, 11, 12, 13, 14, 15, 16):
         lines = brief(clean, verdict, width=80, room=room).splitlines()
         assert len(lines) <= room
         told = sum(line.startswith("- ") and "more with --verbose" not in line for line in lines)
