@@ -270,6 +270,17 @@ def picked(of: object, *names: str) -> dict[str, Any]:
     return {name: getattr(of, name) for name in names}
 
 
+def constraints_part(calibration: Calibration) -> dict[str, Any]:
+    """Constraints of the problem: their range, where the estimate is in it, and what holds it; empty without any."""
+    known, result = calibration.fit.constraints, calibration.result
+    if known is None:
+        return {}
+    rows = zip(known.names, known.units, known.low, known.high, known.evaluate(result.x)[0], strict=True)
+    keys = ("name", "unit", "low", "high", "value")
+    pulls = [{"multiplier": result.multipliers[n], "active": n in result.active} for n in known.names]
+    return {"constraints": [dict(zip(keys, row, strict=True)) | pull for row, pull in zip(rows, pulls, strict=True)]}
+
+
 def reference_part(reference: Reference | None) -> dict[str, Any] | None:
     """The independent solver's result; None where none ran."""
     if reference is None:

@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from casacal.fit.constrained import MET
 from casacal.fit.least_squares import ExtendedPass, FilterPass, LeastSquares, Result, Status, nothing_unknown
 from casacal.fit.lm import MAX_STEPS, lm
 from casacal.kernels.losses import Loss
-from casacal.linalg import downdated, tria
+from casacal.linalg import LEAST_SLOPE, downdated, nearest, svd, tria
 from casacal.values import Array, Value
 
 
@@ -76,9 +77,69 @@ def cubature_update(belief: Belief, h: Callable[[Array], Array], measured: float
     return Update(Belief(belief.mean + gain * innovation, root), innovation, innovation_std)
 
 
+def told(belief: Belief, rows: Array, values: Array) -> Belief:
+    """Take in A x = b exactly, A (m, n) and b (m,): a measurement update without noise.
+
+    With U S V' = A R, R the root: the mean moves by R V S^-1 U'(b - A x), and R (I - V V') is left of the root.
+    """
+    left, sizes, right = svd(rows @ belief.root)
+    kept = sizes > LEAST_SLOPE * sizes.max(initial=0.0)
+    seen, white = right[kept], (left.T @ (values - rows @ belief.mean))[kept] / sizes[kept]
+    return Belief(belief.mean + belief.root @ (seen.T @ white), tria(belief.root - (belief.root @ seen.T) @ seen))
+
+
 def begun(problem: LeastSquares) -> Belief:
-    """The belief before any row, in units of `start_std` about x0."""
-    return Belief(np.zeros(problem.unknowns), problem.prior_root)
+    """The belief before any row, in units of `start_std` about x0: the prior, told what equalities say beside it.
+
+    Curved equalities are linearised where the prior's mean is brought onto them.
+    """
+    belief = Belief(np.zeros(problem.unknowns), problem.prior_root)
+    if problem.constraints is None:
+        return belief
+    known, x = problem.constraints.part(problem.constraints.equalities), problem.feasible(problem.x0)
+    rows = known.evaluate(x)[1] * problem.start_std
+    return told(belief, rows, rows @ ((x - problem.x0) / problem.start_std))
+
+
+BENDS = 20  # times that curved bounds are linearised anew
+
+
+def settled(problem: LeastSquares, belief: Belief) -> Belief:
+    """The belief after all rows, within the constraints: both in units of `start_std` about x0.
+
+    Rows leave a mean that is on curved equalities to first order alone: it is brought onto them, and the covariance
+    turned into their tangent. Where bounds are then crossed, the mean becomes the point within them that is nearest in
+    the metric of the covariance, and the bounds that hold it there are taken in as equalities. A linear problem so has
+    its exact minimum and covariance. A mean that nothing brings within stays where the rows left it.
+    """
+    known, scale = problem.constraints, problem.start_std
+    if known is None or not np.isfinite(belief.root).all():
+        return belief
+    equal, bounds = known.part(known.equalities), known.part(~known.equalities)
+    x = equal.restored(problem.x0 + scale * belief.mean)
+    if x is None:
+        return belief
+    rows = equal.evaluate(x)[1] * scale
+    belief = Belief((x - problem.x0) / scale, belief.root - np.linalg.pinv(rows) @ (rows @ belief.root))
+    found = belief
+    for _ in range(BENDS):
+        _, _, above, least = bounds.linearised(problem.x0 + scale * found.mean)
+        least = least + above @ found.mean
+        step = nearest(above @ belief.root, least - above @ belief.mean)
+        if step is None or not step[1].any():
+            break
+        before, found = found, told(belief, above[step[1]], least[step[1]])
+        x = equal.restored(problem.x0 + scale * found.mean)
+        found = found if x is None else replace(found, mean=(x - problem.x0) / scale)
+        if np.abs(found.mean - before.mean).max() <= MET:
+            break
+    return found
+
+
+def root_of(covariance: Array) -> Array:
+    """A root R (n, n) with R R' = P, also of a covariance without full rank."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def take_in(problem: LeastSquares, belief: Belief, first: int, process_root: Array | None = None) -> FilterPass:
@@ -107,7 +168,8 @@ def sckf(
 ) -> Result:
     """One pass of the filter over the rows, from the prior (flat: `start_std`) to the posterior of f.
 
-    One pass only: a second one would count the data twice.
+    One pass only: a second one would count the data twice. With constraints the pass begins with what equalities say
+    (`begun`) and ends within all of them (`settled`); `x` of the trace has what the rows alone led to.
 
     Args:
         problem: its rows are measurements of zero with unit noise, in whitened units.
@@ -132,6 +194,7 @@ def sckf(
             kept.append(some)
         if progress is not None:
             progress(k, abs(float(trace[1][-1][-1])))
+    belief = settled(problem, belief)
     root = scale[:, None] * belief.root
     states, innovation, innovation_std = (np.concatenate(kept) for kept in trace)
     finite = bool(np.isfinite(belief.mean).all() and np.isfinite(root).all())
@@ -173,6 +236,8 @@ def linear_update(
 def ekf(problem: LeastSquares, *, progress: Callable[[int, float], None] | None = None) -> Result:
     """One pass of the filter over the rows, from the prior (flat: `start_std`) to the posterior of f.
 
+    Constraints as for `sckf`.
+
     Args:
         problem: its rows are measurements of zero with unit noise, in whitened units.
         progress: called with (rows done, size of the innovation) now and then.
@@ -183,7 +248,8 @@ def ekf(problem: LeastSquares, *, progress: Callable[[int, float], None] | None 
     if not problem.unknowns:
         return nothing_unknown(problem, "ekf")
     scale = problem.start_std
-    mean, covariance = np.zeros(problem.unknowns), problem.prior_root @ problem.prior_root.T
+    first = begun(problem)
+    mean, covariance = first.mean, first.root @ first.root.T
     done = problem.extended_pass(mean, covariance)
     if done is None:
         done = _row_by_row(problem, mean, covariance, progress)
@@ -191,6 +257,9 @@ def ekf(problem: LeastSquares, *, progress: Callable[[int, float], None] | None 
         progress(problem.rows, abs(float(done.innovations[-1])))
     finite = bool(np.isfinite(done.mean).all() and np.isfinite(done.covariance).all())
     means = np.vstack([problem.x0, problem.x0 + scale * done.means])
+    if finite and problem.constraints is not None:
+        last = settled(problem, Belief(done.mean, root_of(done.covariance)))
+        done = replace(done, mean=last.mean, covariance=last.root @ last.root.T)
     return Result(
         method="ekf",
         problem=problem,

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 
+from casacal.errors import ProblemError
 from casacal.fit.blocks import Block
+from casacal.fit.constrained import ConstraintSet
 from casacal.fit.least_squares import LeastSquares
 from casacal.fit.slots import Slot
 from casacal.kernels.block_rows import Buffered, CurvatureKernel
 from casacal.kernels.losses import Loss
 from casacal.kernels.rows import Lanes, Piece
+from casacal.model.constraint import Constraint
 from casacal.model.unknown import Parameter
 from casacal.threads import shared_out
 from casacal.values import Array, Index
@@ -47,7 +50,14 @@ class RawBlock:
 class RawGraph:
     """All rows in raw coordinates, with what makes these valid: attributes as of `casacal.fit.ipopt.RawForm`."""
 
-    def __init__(self, slots: Sequence[Slot], blocks: Sequence[Block], threads: int, problem: LeastSquares) -> None:
+    def __init__(
+        self,
+        slots: Sequence[Slot],
+        blocks: Sequence[Block],
+        threads: int,
+        problem: LeastSquares,
+        constraints: Sequence[Constraint] = (),
+    ) -> None:
         starts = np.cumsum([0] + [slot.unknown.raw_size for slot in slots])
         first = {slot.name: int(start) for slot, start in zip(slots, starts, strict=False)}
         found = []
@@ -60,8 +70,12 @@ class RawGraph:
         free = [slot for slot in slots if slot.unknown.size]
         self.blocks, self.start = tuple(found), np.concatenate([s.unknown.raw_start(s.nominal) for s in free])
         symbols = [ca.SX.sym(slot.name, slot.unknown.raw_size) for slot in slots]
+        at = dict(zip((slot.name for slot in slots), symbols, strict=True))
         pairs, v, none = list(zip(slots, symbols, strict=True)), ca.vertcat(*symbols), ca.SX(0, 1)
         valid = ca.densify(ca.vertcat(*(g for s, symbol in pairs for g in s.unknown.raw_constraints(symbol)), none))
+        ends = np.array([(0.0, 0.0)] * valid.numel() + [(each.low, each.high) for each in constraints])
+        self.low, self.high = ends.reshape(-1, 2).T
+        valid = ca.vertcat(valid, _quantities(constraints, slots, lambda s: s.unknown.raw_value(s.nominal, at[s.name])))
         local = (s.unknown.raw_local(s.nominal, symbol) for s, symbol in pairs if s.unknown.size)
         self.constraints = ca.Function("constraints", [v], [valid])
         self.local = ca.Function("local", [v], [ca.densify(ca.vertcat(*local, none))])
@@ -69,6 +83,41 @@ class RawGraph:
         multipliers = ca.SX.sym("lam", valid.numel())
         hessian, _ = ca.hessian(ca.dot(multipliers, valid), v)
         self.bend, self.bend_places = _by_entries(ca.Function("bend", [v, multipliers], [ca.triu(hessian)]), 0)
+
+
+def _quantities(constraints: Sequence[Constraint], slots: Sequence[Slot], value: Callable[[Slot], Any]) -> ca.SX:
+    """What constraints hold (m,), of the values of slots; ProblemError for a label that the samples do not have."""
+    placed = {slot.name: slot for slot in slots}
+
+    def packed(name: str) -> Any:
+        if name not in placed:
+            there = ", ".join(name for name in placed if "." in name)
+            raise ProblemError(f"A constraint names '{name}', which no samples are of", f"There are: {there or 'none'}")
+        slot = placed[name]
+        held = slot.unknown.at(ca.DM(slot.nominal), ca.SX(0, 1)) if not slot.unknown.size else None
+        return slot.unknown.packed(value(slot) if held is None else held)
+
+    return ca.densify(ca.vertcat(*(each.quantity(packed) for each in constraints), ca.SX(0, 1)))
+
+
+def constraint_set(constraints: Sequence[Constraint], slots: Sequence[Slot], scale: Array) -> ConstraintSet | None:
+    """Constraints as functions of x (n,), each coordinate of size `scale`; None without any. Raises ProblemError."""
+    if not constraints:
+        return None
+    x = ca.SX.sym("x", scale.size)
+    values = _quantities(
+        constraints, slots, lambda s: s.unknown.at(ca.DM(s.nominal), x[s.columns.start : s.columns.stop])
+    )
+    slopes = ca.jacobian(values, x)
+    function = ca.Function("constraints", [x], [values, ca.densify(slopes)])
+
+    def evaluate(at: Array) -> tuple[Array, Array]:
+        there, matrix = function(at)
+        return np.asarray(there).ravel(), np.asarray(matrix)
+
+    names, units = tuple(each.name for each in constraints), tuple(each.unit for each in constraints)
+    low, high = np.array([(each.low, each.high) for each in constraints]).T
+    return ConstraintSet(names, units, low, high, evaluate, np.array(ca.DM(slopes.sparsity(), 1)) > 0, scale)
 
 
 def _by_entries(function: ca.Function, i: int) -> tuple[Buffered, Places]:
