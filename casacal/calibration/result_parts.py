@@ -275,10 +275,11 @@ def constraints_part(calibration: Calibration) -> dict[str, Any]:
     known, result = calibration.fit.constraints, calibration.result
     if known is None:
         return {}
-    rows = zip(known.names, known.units, known.low, known.high, known.evaluate(result.x)[0], strict=True)
-    keys = ("name", "unit", "low", "high", "value")
-    pulls = [{"multiplier": result.multipliers[n], "active": n in result.active} for n in known.names]
-    return {"constraints": [dict(zip(keys, row, strict=True)) | pull for row, pull in zip(rows, pulls, strict=True)]}
+    values = dict(zip(known.names, known.evaluate(result.x)[0].tolist(), strict=True))
+    pulls = {name: {"multiplier": result.multipliers[name], "active": name in result.active} for name in known.names}
+    rows = [each for each in calibration.fit.problem.exact if each.name in values]
+    keys = ("name", "unit", "low", "high")
+    return {"constraints": [{**picked(r, *keys), "value": values[r.name], **pulls[r.name]} for r in rows]}
 
 
 def reference_part(reference: Reference | None) -> dict[str, Any] | None:

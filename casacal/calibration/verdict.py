@@ -99,7 +99,7 @@ def _since_earlier(calibration: Calibration) -> Doubt | None:
 
 def _bounds_that_hold(calibration: Calibration) -> Doubt | None:
     """Bounds of the problem on which the estimate lies: were they wrong, so would the arm be."""
-    active, known = calibration.result.active, {each.name: each for each in calibration.fit.problem.constraints}
+    active, known = calibration.result.active, {each.name: each for each in calibration.fit.problem.exact}
     if not active:
         return None
     upper = [calibration.result.multipliers[name] > 0 for name in active]

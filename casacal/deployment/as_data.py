@@ -31,7 +31,7 @@ HOMES: Mapping[str, str] = {
     "model.traced_pose": "Screws TracedPose",
     "model.unknown": "Parameter",
     "model.geometry": "Direction Plane Frame",
-    "model.constraint": "Constraint TracedQuantity",
+    "model.constraint": "Constraint Correlation",
     "model.instrument": "Probe ResidualBlock TracedInstrument",
     "model.dial": "DialOnPlane DialOnBody Step",
     "model.points": "TrackedPoint KnownPoint FixedPoint Sockets Distance SphereTouch SelfContact",

@@ -22,12 +22,11 @@ ON_BOUND = 1e-6  # prior standard deviations from a bound within which x lies on
 class ConstraintSet(Value):
     """Quantities c(x) (m,) that lie between `low` and `high` (m,), both alike for an equality.
 
-    evaluate: x (n,) -> c (m,) and its slopes (m, n), in `units` per unit of x. depends: mask (m, n), which unknowns
+    evaluate: x (n,) -> c (m,) and its slopes (m, n). depends: mask (m, n), which unknowns
     each sees. scale: of x (n,), in which steps are short: its prior standard deviations, or where filters start.
     """
 
     names: tuple[str, ...]
-    units: tuple[str, ...]
     low: Array
     high: Array
     evaluate: Callable[[Array], tuple[Array, Array]]
@@ -48,9 +47,8 @@ class ConstraintSet(Value):
             values, slopes = self.evaluate(expand(x))
             return values[kept], slopes[kept][:, free]
 
-        names, units = (tuple(np.array(each)[kept].tolist()) for each in (self.names, self.units))
-        depends, scale = self.depends[kept][:, free], self.scale[free]
-        return ConstraintSet(names, units, self.low[kept], self.high[kept], evaluate, depends, scale)
+        names, depends = tuple(np.array(self.names)[kept].tolist()), self.depends[kept][:, free]
+        return ConstraintSet(names, self.low[kept], self.high[kept], evaluate, depends, self.scale[free])
 
     def linearised(self, x: Array) -> tuple[Array, Array, Array, Array]:
         """E, gap, B, least about x: to first order x + scale * s meets all where E s = gap and B s >= least."""

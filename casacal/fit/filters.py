@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casacal.fit.constrained import MET
 from casacal.fit.least_squares import ExtendedPass, FilterPass, LeastSquares, Result, Status, nothing_unknown
 from casacal.fit.lm import MAX_STEPS, lm
 from casacal.kernels.losses import Loss
@@ -101,38 +100,35 @@ def begun(problem: LeastSquares) -> Belief:
     return told(belief, rows, rows @ ((x - problem.x0) / problem.start_std))
 
 
-BENDS = 20  # times that curved bounds are linearised anew
+BENDS = 8  # times that bounds are linearised anew: each time they bend a square less
 
 
 def settled(problem: LeastSquares, belief: Belief) -> Belief:
     """The belief after all rows, within the constraints: both in units of `start_std` about x0.
 
-    Rows leave a mean that is on curved equalities to first order alone: it is brought onto them, and the covariance
-    turned into their tangent. Where bounds are then crossed, the mean becomes the point within them that is nearest in
-    the metric of the covariance, and the bounds that hold it there are taken in as equalities. A linear problem so has
-    its exact minimum and covariance. A mean that nothing brings within stays where the rows left it.
+    The mean is brought onto curved equalities, and the covariance turned into their tangent. Where it crosses bounds it
+    becomes the point within them that is nearest in the metric of the covariance, and the bounds that hold it there are
+    taken in as equalities. A linear problem so has its exact minimum and covariance. A mean that nothing brings within
+    stays where the rows left it.
     """
     known, scale = problem.constraints, problem.start_std
     if known is None or not np.isfinite(belief.root).all():
         return belief
     equal, bounds = known.part(known.equalities), known.part(~known.equalities)
-    x = equal.restored(problem.x0 + scale * belief.mean)
-    if x is None:
+    if (x := equal.restored(problem.x0 + scale * belief.mean)) is None:
         return belief
     rows = equal.evaluate(x)[1] * scale
     belief = Belief((x - problem.x0) / scale, belief.root - np.linalg.pinv(rows) @ (rows @ belief.root))
     found = belief
     for _ in range(BENDS):
-        _, _, above, least = bounds.linearised(problem.x0 + scale * found.mean)
-        least = least + above @ found.mean
-        step = nearest(above @ belief.root, least - above @ belief.mean)
+        (_, _, above, least), y = bounds.linearised(x), (x - problem.x0) / scale
+        step = nearest(above @ belief.root, least + above @ (y - belief.mean))
         if step is None or not step[1].any():
             break
-        before, found = found, told(belief, above[step[1]], least[step[1]])
-        x = equal.restored(problem.x0 + scale * found.mean)
-        found = found if x is None else replace(found, mean=(x - problem.x0) / scale)
-        if np.abs(found.mean - before.mean).max() <= MET:
+        found = told(belief, above[step[1]], (least + above @ y)[step[1]])
+        if (at := equal.restored(problem.x0 + scale * found.mean)) is None:
             break
+        x, found = at, replace(found, mean=(at - problem.x0) / scale)
     return found
 
 

@@ -14,12 +14,13 @@ import numpy as np
 from casacal.errors import ProblemError
 from casacal.fit.blocks import Block
 from casacal.fit.constrained import ConstraintSet
-from casacal.fit.least_squares import LeastSquares
+from casacal.fit.least_squares import Gaussian, LeastSquares
 from casacal.fit.slots import Slot
 from casacal.kernels.block_rows import Buffered, CurvatureKernel
 from casacal.kernels.losses import Loss
 from casacal.kernels.rows import Lanes, Piece
-from casacal.model.constraint import Constraint
+from casacal.linalg import LEAST_SLOPE
+from casacal.model.constraint import Constraint, Correlation
 from casacal.model.unknown import Parameter
 from casacal.threads import shared_out
 from casacal.values import Array, Index
@@ -94,10 +95,12 @@ def _quantities(constraints: Sequence[Constraint], slots: Sequence[Slot], value:
             there = ", ".join(name for name in placed if "." in name)
             raise ProblemError(f"A constraint names '{name}', which no samples are of", f"There are: {there or 'none'}")
         slot = placed[name]
-        held = slot.unknown.at(ca.DM(slot.nominal), ca.SX(0, 1)) if not slot.unknown.size else None
+        held = None if slot.unknown.size else slot.unknown.at(ca.DM(slot.nominal), ca.SX(0, 1))
         return slot.unknown.packed(value(slot) if held is None else held)
 
-    return ca.densify(ca.vertcat(*(each.quantity(packed) for each in constraints), ca.SX(0, 1)))
+    return ca.densify(
+        ca.vertcat(*(each.graph(*map(packed, each.names)) for each in constraints if each.graph), ca.SX(0, 1))
+    )
 
 
 def constraint_set(constraints: Sequence[Constraint], slots: Sequence[Slot], scale: Array) -> ConstraintSet | None:
@@ -105,9 +108,7 @@ def constraint_set(constraints: Sequence[Constraint], slots: Sequence[Slot], sca
     if not constraints:
         return None
     x = ca.SX.sym("x", scale.size)
-    values = _quantities(
-        constraints, slots, lambda s: s.unknown.at(ca.DM(s.nominal), x[s.columns.start : s.columns.stop])
-    )
+    values = _quantities(constraints, slots, lambda s: s.unknown.at(ca.DM(s.nominal), x[list(s.columns)]))
     slopes = ca.jacobian(values, x)
     function = ca.Function("constraints", [x], [values, ca.densify(slopes)])
 
@@ -115,9 +116,47 @@ def constraint_set(constraints: Sequence[Constraint], slots: Sequence[Slot], sca
         there, matrix = function(at)
         return np.asarray(there).ravel(), np.asarray(matrix)
 
-    names, units = tuple(each.name for each in constraints), tuple(each.unit for each in constraints)
+    names = tuple(each.name for each in constraints)
     low, high = np.array([(each.low, each.high) for each in constraints]).T
-    return ConstraintSet(names, units, low, high, evaluate, np.array(ca.DM(slopes.sparsity(), 1)) > 0, scale)
+    return ConstraintSet(names, low, high, evaluate, np.array(ca.DM(slopes.sparsity(), 1)) > 0, scale)
+
+
+def stated_prior(known: Sequence[Constraint | Correlation], slots: Sequence[Slot]) -> Gaussian | None:
+    """Joint prior of unknowns that belong together, by correlation or by what is certified; None where none do.
+
+    Their own priors, correlated, are told the certified quantities as a Kalman filter is told linear measurements.
+    Raises ProblemError for a flat prior among them, and for a quantity that is not linear.
+    """
+    measured = [each for each in known if isinstance(each, Constraint) and each.std]
+    correlated = [each for each in known if isinstance(each, Correlation)]
+    if not measured and not correlated:
+        return None
+    free = [slot for slot in slots if slot.unknown.size]
+    every = [name for slot in free for name in slot.unknown.names(slot.name)]
+    stds = np.concatenate([np.zeros(0), *(slot.unknown.prior_stds for slot in free)])
+    told = constraint_set(measured, slots, np.ones(len(every)))
+    seen = np.array([any(name in each.names for each in correlated) for name in every], dtype=bool)
+    seen |= False if told is None else told.depends.any(axis=0)
+    names, std = tuple(np.array(every)[seen].tolist()), stds[seen]
+    for name in np.array(names)[~np.isfinite(std)].tolist():
+        raise ProblemError(f"'{name}' is known together with others, and its prior is flat", "Give it a prior_std")
+    matrix = np.eye(len(names))
+    for each in correlated:
+        own = [k for k, name in enumerate(each.names) if name in names]  # those that are held leave the others theirs
+        here = [names.index(each.names[k]) for k in own]
+        matrix[np.ix_(here, here)] = np.array(each.matrix)[np.ix_(own, own)]
+    prior = Gaussian(names, np.zeros(len(names)), matrix * np.outer(std, std))
+    if told is None:
+        return prior
+    values, slopes = told.evaluate(np.zeros(len(every)))
+    for name, bent in zip(told.names, slopes - told.evaluate(np.ones(len(every)))[1], strict=True):
+        if np.abs(bent).max() > LEAST_SLOPE:
+            raise ProblemError(f"'{name}' is certified, and not linear in the unknowns", "Certify sums of numbers")
+    rows = slopes[:, seen]
+    spread, noise = prior.covariance @ rows.T, np.diag([each.std**2 for each in measured])
+    gain = np.linalg.solve(rows @ spread + noise, spread.T).T
+    left = prior.covariance - gain @ spread.T
+    return Gaussian(names, gain @ (told.low - values), (left + left.T) / 2)
 
 
 def _by_entries(function: ca.Function, i: int) -> tuple[Buffered, Places]:

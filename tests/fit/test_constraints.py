@@ -242,7 +242,7 @@ def test_numerical_steps_against_hand_made_ones():
         (lambda: equal("t", lambda p: p.a[0] - ca.SX.sym("mine")), "no part of p"),
         (lambda: equal("t", 3.0), "Got a float as the expression"),
         (lambda: equal("", links), "is named ''"),
-        (lambda: equal("t", links, value=float("nan")), "Give two numbers"),
+        (lambda: equal("t", links, value=float("nan")), "Give numbers"),
         (lambda: between("t", links, 2.0, 1.0), "the lower end first"),
         (lambda: between("t", links), "one end at least that is finite"),
         (lambda: between("t", links, INF, INF), "one end at least that is finite"),
