@@ -226,7 +226,11 @@ def nearest(rows: Array, least: Array) -> tuple[Array, Array] | None:
     from scipy.optimize import nnls  # a third of a second that those without bounds need not spend
 
     sizes = np.linalg.norm(rows, axis=1)
-    rows, least = rows / sizes[:, None], least / sizes
+    moved = sizes > LEAST_SLOPE * sizes.max(initial=0.0)  # a bound that nothing can move is no matter of w
+    rows, least = (
+        rows / np.where(moved, sizes, np.inf)[:, None],
+        np.where(moved, least, 0.0) / np.where(moved, sizes, 1.0),
+    )
     whole, wanted = np.vstack([rows.T, least]), np.append(np.zeros(rows.shape[1]), 1.0)
     pull, missed = nnls(whole, wanted)
     if missed <= LEAST_SLOPE:
@@ -253,8 +257,5 @@ def constrained_solution(
     # in units of these the objective is half the square of a length about -pull
     basis = (free.T @ directions[seen].T) / np.sqrt(values[seen] ** 2 + damping)
     s = s - basis @ (basis.T @ (gradient + rows.T @ (rows @ s) + damping * s))
-    along = above @ basis
-    # a bound that nothing left can move is none of this step's business
-    moved = np.linalg.norm(along, axis=1) > LEAST_SLOPE * np.linalg.norm(above, axis=1) * np.abs(basis).max(initial=0.0)
-    found = nearest(along[moved], (least - above @ s)[moved])
+    found = nearest(above @ basis, least - above @ s)
     return None if found is None else s + basis @ found[0]

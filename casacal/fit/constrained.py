@@ -58,6 +58,14 @@ class ConstraintSet(Value):
         least = np.concatenate([(self.low - values)[below], (values - self.high)[above]])
         return slopes[equal], (self.low - values)[equal], np.vstack([slopes[below], -slopes[above]]), least
 
+    def stepped(self, x: Array, rows: Array, gradient: Array, damping: float) -> tuple[Array, Array] | None:
+        """Where the step s of `constrained_solution` leads, back on the constraints, and s in units of `scale`."""
+        if not (np.isfinite(rows).all() and np.isfinite(gradient).all()):
+            return None
+        step = constrained_solution(rows, gradient, damping, *self.linearised(x))
+        there = None if step is None else self.restored(x + self.scale * step)
+        return None if step is None or there is None else (there, step)
+
     def slack(self, x: Array) -> Array:
         """How far each is inside its lower and its upper end at x (2, m), in prior standard deviations."""
         values, slopes = self.evaluate(x)

@@ -88,10 +88,7 @@ def told(belief: Belief, rows: Array, values: Array) -> Belief:
 
 
 def begun(problem: LeastSquares) -> Belief:
-    """The belief before any row, in units of `start_std` about x0: the prior, told what equalities say beside it.
-
-    Curved equalities are linearised where the prior's mean is brought onto them.
-    """
+    """The belief before any row, in units of `start_std` about x0: the prior, told of the equalities."""
     belief = Belief(np.zeros(problem.unknowns), problem.prior_root)
     if problem.constraints is None:
         return belief
@@ -130,12 +127,6 @@ def settled(problem: LeastSquares, belief: Belief) -> Belief:
             break
         x, found = at, replace(found, mean=(at - problem.x0) / scale)
     return found
-
-
-def root_of(covariance: Array) -> Array:
-    """A root R (n, n) with R R' = P, also of a covariance without full rank."""
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def take_in(problem: LeastSquares, belief: Belief, first: int, process_root: Array | None = None) -> FilterPass:
@@ -254,7 +245,8 @@ def ekf(problem: LeastSquares, *, progress: Callable[[int, float], None] | None 
     finite = bool(np.isfinite(done.mean).all() and np.isfinite(done.covariance).all())
     means = np.vstack([problem.x0, problem.x0 + scale * done.means])
     if finite and problem.constraints is not None:
-        last = settled(problem, Belief(done.mean, root_of(done.covariance)))
+        values, vectors = np.linalg.eigh(done.covariance)  # which equalities leave without full rank
+        last = settled(problem, Belief(done.mean, vectors * np.sqrt(np.maximum(values, 0.0))))
         done = replace(done, mean=last.mean, covariance=last.root @ last.root.T)
     return Result(
         method="ekf",

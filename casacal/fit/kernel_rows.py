@@ -98,9 +98,7 @@ def _quantities(constraints: Sequence[Constraint], slots: Sequence[Slot], value:
         held = None if slot.unknown.size else slot.unknown.at(ca.DM(slot.nominal), ca.SX(0, 1))
         return slot.unknown.packed(value(slot) if held is None else held)
 
-    return ca.densify(
-        ca.vertcat(*(each.graph(*map(packed, each.names)) for each in constraints if each.graph), ca.SX(0, 1))
-    )
+    return ca.densify(ca.vertcat(*(each.function(*map(packed, each.names)) for each in constraints), ca.SX(0, 1)))
 
 
 def constraint_set(constraints: Sequence[Constraint], slots: Sequence[Slot], scale: Array) -> ConstraintSet | None:

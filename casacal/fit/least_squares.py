@@ -20,15 +20,7 @@ import numpy as np
 from casacal.errors import CasacalError, ProblemError, came
 from casacal.fit.constrained import ConstraintSet
 from casacal.kernels.losses import Loss, worth_under
-from casacal.linalg import (
-    constrained_solution,
-    damped_solution,
-    freed_of,
-    posterior_covariance,
-    revealed_solution,
-    unit_scale,
-    whitening_of,
-)
+from casacal.linalg import damped_solution, freed_of, posterior_covariance, revealed_solution, unit_scale, whitening_of
 from casacal.values import EMPTY, Array, FrozenMapping, Index, Rows, Value, frozen, short
 
 
@@ -270,12 +262,10 @@ class LeastSquares(ABC):
         scale = self.start_std
         gradient = scale * (normal.gradient + self.prior_information @ (x - self.x0))
         stacked = np.vstack([self.weighted_rows(x, loss), self.prior_rows]) * scale
-        if not (np.isfinite(stacked).all() and np.isfinite(gradient).all()):
+        found = self.constraints.stepped(x, stacked, gradient, damping)
+        if found is None:
             return None
-        step = constrained_solution(stacked, gradient, damping, *self.constraints.linearised(x))
-        there = None if step is None else self.constraints.restored(x + scale * step)
-        if step is None or there is None:
-            return None
+        there, step = found
         squared = float(((stacked @ step) ** 2).sum())
         return DampedStep(there, squared, -float(gradient @ step) - squared / 2)
 
@@ -296,10 +286,7 @@ class LeastSquares(ABC):
         return None if self.constraints is None else self.constraints.tangent(x, active)
 
     def posterior(self, information: Array, x: Array, active: Collection[str] | None = None) -> Array:
-        """Covariance (n, n) from the information J'J (n, n) of data at x and the prior, along what constraints leave.
-
-        active: as for `ConstraintSet.tangent`.
-        """
+        """Covariance (n, n) from the information J'J (n, n) of data at x and the prior, along `tangent`."""
         return posterior_covariance(information, self.prior_information, self.tangent(x, active))
 
     def costs(self, states: Array, loss: Loss | None = None) -> Array:

@@ -1,47 +1,40 @@
 """What is known of unknowns beside rows and their own priors: ties, bounds, certified sums, errors that go together.
 
-    Problem(robot, dial, constraints=(
-        equal("twins", lambda p: p.a[1] - p.a[2]),
-        between("elbow", lambda p: p.d[3], 440.0, 442.0),
-        certified("arm", lambda p: p.a[1] + p.a[2], 817.1, std=0.05),
-    ))
-
 p holds the values of all unknowns as `pose` and `residual` take them: p.a for a key, p["dial.tool"] for one of several
 instruments, p["plane.floor"] where there is one for each label.
 """
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casacal.errors import CasacalError, ProblemError, UnknownNameError, came, refuse_unknown, said
-from casacal.kernels.program import graph_data
+from casacal.kernels.program import graph_data, graph_from
 from casacal.model.geometry import packed_symbols
 from casacal.model.unknown import Unknown
 from casacal.values import Value, is_finite, is_real, plain
 
 
-class NamedValues:
+class NamedValues(dict[str, Any]):
     """Values of unknowns by full name, each made when it is first asked for."""
 
     def __init__(self, make: Callable[[str], Any]) -> None:
-        self._make, self._made = make, dict[str, Any]()
+        super().__init__()
+        self._make = make
 
-    def __getitem__(self, name: str) -> Any:
-        if name not in self._made:
-            self._made[name] = self._make(name)
-        return self._made[name]
+    def __missing__(self, name: str) -> Any:
+        return self.setdefault(name, self._make(name))
 
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        return self[name]
+    def __getattribute__(self, name: str) -> Any:
+        return super().__getattribute__(name) if name.startswith("_") or name == "setdefault" else self[name]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +43,8 @@ class Constraint(Value):
 
     expression: p -> one number in `unit`. low, high: its range, both ends alike for an equality, infinite where open.
     std: standard deviation about `low` of a certified quantity; zero where it holds exactly. names, graph: once it is
-    part of a problem, the unknowns that it names, and the function of their packed values; `expression` is then None.
+    part of a problem, the unknowns that it names, and in JSON what it makes of their packed values; `expression` is
+    then None.
     """
 
     name: str
@@ -60,30 +54,26 @@ class Constraint(Value):
     unit: str = "mm"
     std: float = 0.0
     names: tuple[str, ...] = ()
-    graph: ca.Function | None = None
+    graph: str = ""
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name or not self.name.isprintable():
             raise ProblemError(f"A constraint is named {self.name!r}", "Give it a word or two, such as 'twins'")
-        if not callable(self.expression) and self.graph is None:
+        if not callable(self.expression) and not self.graph:
             fix = "Give a function of p, such as lambda p: p.a[1] - p.a[2]"
             raise ProblemError(f"Got {came(self.expression)} as the expression of '{self.name}'", fix)
-        if not all(is_real(end) and not math.isnan(end) for end in (self.low, self.high)) or not is_finite(self.std):
+        numbers = is_real(self.low) and is_real(self.high) and is_finite(self.std)
+        held = numbers and (is_finite(self.low) or is_finite(self.high)) and self.low <= self.high and self.std >= 0
+        if not held:
             what = f"'{self.name}' lies between {self.low!r} and {self.high!r}, give or take {self.std!r}"
-            raise ProblemError(what, "Give numbers")
-        if self.low > self.high or not (is_finite(self.low) or is_finite(self.high)) or self.std < 0:
-            what = f"'{self.name}' lies between {self.low:g} and {self.high:g}, give or take {self.std:g}"
-            raise ProblemError(what, "Give the lower end first, one end at least that is finite, and no negative error")
+            raise ProblemError(
+                what, "Give numbers, the lower end first, one end finite at least, and no negative error"
+            )
 
-    @property
-    def text(self) -> str:
-        """All that it says, once it is part of a problem."""
-        graph = None if self.graph is None else graph_data(self.graph)
-        return f"{self.name} {self.low!r} {self.high!r} {self.unit} {self.std!r} {self.names} {graph}"
-
-    def __eq__(self, other: object) -> bool:
-        """Whether both say the same, instruction by instruction."""
-        return isinstance(other, Constraint) and self.expression == other.expression and self.text == other.text
+    @cached_property
+    def function(self) -> ca.Function:
+        """Packed values of the unknowns that it names to the quantity, once it is part of a problem."""
+        return graph_from(json.loads(self.graph))
 
     def traced(self, unknowns: Mapping[str, Unknown]) -> Constraint:
         """A copy with its expression as a graph; raises ProblemError for what is no number of these unknowns."""
@@ -117,7 +107,7 @@ class Constraint(Value):
             graph = ca.Function("quantity", list(symbols.values()), [ca.densify(built)])
         except RuntimeError as error:
             raise ProblemError(f"Constraint '{self.name}' depends on a symbol that is no part of p", fix) from error
-        return replace(self, expression=None, names=tuple(symbols), graph=graph)
+        return replace(self, expression=None, names=tuple(symbols), graph=json.dumps(graph_data(graph)))
 
 
 def equal(name: str, expression: Callable[[Any], Any], *, value: float = 0.0, unit: str = "mm") -> Constraint:
@@ -158,11 +148,6 @@ class Correlation:
     name: str
     names: tuple[str, ...]
     matrix: tuple[tuple[float, ...], ...]
-
-    @property
-    def text(self) -> str:
-        """All that it says."""
-        return repr(self)
 
     def traced(self, unknowns: Mapping[str, Unknown]) -> Correlation:
         """Itself; raises UnknownNameError for what is no single number of these unknowns."""

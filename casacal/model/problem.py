@@ -180,7 +180,7 @@ class Problem(Value):
         """SHA-256 of what it computes, of its priors and of what its instruments read."""
         parts = [f"{self.layout(i)!r}\n{model.text}" for i, model in enumerate(self.models)]
         parts += [f"{key} {unknown!r}" for key, unknown in self._named()] + [repr(term) for term in self.terms]
-        parts += [each.text for each in self.constraints]
+        parts += [repr(each) for each in self.constraints]
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
     @cached_property
@@ -336,7 +336,7 @@ class Problem(Value):
         unknowns = dict(self._named()) if constraints else {}
         for k, each in enumerate(constraints):
             if not isinstance(each, (Constraint, Correlation)):
-                raise ProblemError(f"Got {came(each)} as a constraint", "Give what equal or between makes")
+                raise ProblemError(f"Got {came(each)} as a constraint", "Give what equal, between or certified makes")
             if each.name in (other.name for other in constraints[:k]):
                 raise ProblemError(f"Two constraints are called '{each.name}'", "Give each a name of its own")
         return tuple(each.traced(unknowns) for each in constraints)

@@ -81,7 +81,7 @@ def test_a_tie_beside_them_holds_exactly():
 
 
 def test_an_unknown_that_is_held_leaves_the_others_their_own_errors():
-    data, bound = weighing(5, TOGETHER, fixed=["b3"])
+    _, bound = weighing(5, TOGETHER, fixed=["b3"])
     assert bound.prior_std[bound.names.index("b1")] == pytest.approx(np.sqrt(0.5))
     np.testing.assert_allclose(lm(bound).x, ekf(bound).x, atol=1e-10)
     assert bound.names == ("b1", "b2", "b4", "b5")
