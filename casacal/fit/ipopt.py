@@ -143,7 +143,6 @@ def ipopt(
         **{"max_iter": max_steps, "tol": tolerance, "constr_viol_tol": 1e-12, "acceptable_tol": 1e-5},
         **{"acceptable_obj_change_tol": 1e-11, "acceptable_iter": 3, "nlp_scaling_method": "none"},
         **{"linear_solver": "mumps", "print_level": 5 if verbose else 0, "sb": "yes"},
-        **({} if problem.constraints is None else {"bound_relax_factor": 0.0}),  # a bound holds to the last digit
     }
     return nlpsol(problem, solver="ipopt", options={"ipopt": options, "show_eval_warnings": verbose}, loss=loss)
 

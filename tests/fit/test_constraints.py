@@ -11,10 +11,12 @@ from conftest import ROOT
 from linear import Weighing, random_linear
 
 from casacal import Parameter, Problem, Robot, bind, calibrate, ekf, ipopt, lm, load_problem, sckf, sckf_lm, swarm
+from casacal.calibration.inputs import estimate
 from casacal.data.samples import Samples
 from casacal.errors import CasacalError, ProblemError
 from casacal.fit import LeastSquares, scipy_least_squares
 from casacal.fit.least_squares import Conditioned, Status
+from casacal.fit.methods import method_of
 from casacal.kernels.losses import huber
 from casacal.linalg import constrained_solution, nearest, null_basis
 from casacal.model import between, equal
@@ -213,6 +215,18 @@ def test_a_start_far_off_is_brought_back(ur5):
     assert lm(bound, start=far).cost == pytest.approx(lm(bound).cost, rel=1e-9)
 
 
+@pytest.mark.parametrize("case", ["a bent tie", "all of it"])
+def test_every_step_ends_within_the_constraints(ur5, case):
+    """Straight ahead it would leave them: the objective is a merit only where both ends of a step meet them."""
+    bound = tied(ur5, *BENT[case])
+    far = bound.x0 + 3 * bound.start_std * np.random.default_rng(2).normal(size=bound.unknowns)
+    here = bound.feasible(far)
+    step = bound.constrained_step(here, bound.normal(here), 1e-3)
+    assert step.finite
+    assert np.linalg.norm((step.x - here) / bound.start_std) > 1
+    assert (bound.constraints.slack(step.x) > -1e-11).all()
+
+
 def test_numerical_steps_against_hand_made_ones():
     w, held = nearest(np.array([[1.0, 0.0], [0.0, 2.0], [1.0, 1.0]]), np.array([-1.0, 2.0, 0.5]))
     np.testing.assert_allclose(w, [0.0, 1.0], atol=1e-12)
@@ -330,6 +344,24 @@ def test_a_calibration_says_which_bound_binds_and_its_files_hold_it(ur5, tmp_pat
     assert problem_from(problem_data(made)) == made
     loose = calibrate(Problem(problem.robot, *problem.instruments, constraints=known[:1]), samples)
     assert "twins" not in loose.verdict.words
+
+
+def test_a_result_that_keeps_a_tie_is_no_prior_and_says_so(ur5):
+    problem, samples = ur5
+    made = Problem(problem.robot, *problem.instruments, constraints=[equal("twins", links, value=-32.35)])
+    first = calibrate(made, samples, reference=False)
+    with pytest.raises(CasacalError, match="keeps constraints exactly is no prior"):
+        calibrate(problem, samples.take(np.arange(40)), prior=first)
+
+
+def test_a_fit_is_not_worse_than_a_drawing_that_misses_the_tie(ur5):
+    """The drawing may cost less than any arm that keeps a tie: that says nothing against the fit."""
+    problem, samples = ur5
+    held = problem.fix("plane", *(key for key in problem.robot.parameters if key != "a"), "tool")
+    made = Problem(held.robot, *held.instruments, constraints=[equal("twins", links, value=-34.5)])
+    found = estimate(method_of("lm"), "lm", bind(made, samples), 0, None, None)
+    assert found.cost > bind(made, samples).cost(found.problem.x0)
+    assert found.converged
 
 
 class Shifted(LeastSquares):
