@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import qr as pivoted_qr
 from scipy.linalg import svd as by_driver
 from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 
@@ -15,6 +16,8 @@ LEAST_PIVOT = 1e-12
 
 WELL_CONDITIONED = 1e-12
 """Reciprocal condition number above which a unit-diagonal information matrix is inverted as it is."""
+
+LEAST_SLOPE = 1e-9  # part of a row's length, or of the largest pivot, below which nothing but rounding is left of it
 
 ROUNDING = 16 * float(np.finfo(float).eps)  # part of a unit diagonal that rounding leaves of what nothing holds
 
@@ -128,11 +131,19 @@ def unit_scale(diagonal: Array) -> Array:
     return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
 
 
-def posterior_covariance(data_information: Array, prior: Array) -> Array:
+def posterior_covariance(data_information: Array, prior: Array, within: Array | None = None) -> Array:
     """Covariance (J'J + Lambda)^-1 (n, n), with J'J of the data and Lambda of the prior, both (n, n).
 
-    Unknowns that neither data nor prior hold get an infinite variance.
+    Unknowns that neither data nor prior hold get an infinite variance. within: columns Z (n, k) as of `null_basis`
+    along which x moves, no other way; then Z (Z'(J'J + Lambda)Z)^-1 Z'.
     """
+    if within is not None:
+        inner = posterior_covariance(within.T @ data_information @ within, within.T @ prior @ within)
+        lost = ~np.isfinite(np.diagonal(inner))
+        found = within[:, ~lost] @ inner[np.ix_(~lost, ~lost)] @ within[:, ~lost].T
+        wide = (np.abs(within[:, lost]) > LEAST_SLOPE).any(axis=1)
+        found[wide], found[:, wide], found[wide, wide] = 0.0, 0.0, np.inf
+        return np.asarray(found)
     if not len(prior):
         return np.zeros((0, 0))
     if not np.isfinite(data_information).all():
@@ -187,3 +198,64 @@ def correlation(covariance: Array) -> Array:
     inverse = np.where(np.isfinite(variance) & (variance > 0), 1.0 / np.sqrt(np.where(variance > 0, variance, 1)), 0.0)
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
     return np.asarray(inverse[:, None] * finite * inverse)
+
+
+def null_basis(rows: Array, scale: Array) -> tuple[Array, int]:
+    """Columns (n, n - r) that span {x: A x = 0} for rows A (m, n), and the rank r of A.
+
+    Some of x lead and the others follow: each column moves one that leads by one, and others only as far as they must.
+    scale: size of each of x (n,), by which those that follow are chosen.
+    """
+    sizes = np.linalg.norm(rows * scale, axis=1)
+    upper, order = pivoted_qr(rows * scale / np.where(sizes > 0, sizes, 1.0)[:, None], mode="r", pivoting=True)
+    r = int((np.abs(np.diagonal(upper)) > LEAST_SLOPE).sum())
+    basis, follow, lead = np.zeros((len(scale), len(scale) - r)), order[:r], order[r:]
+    basis[lead, np.arange(len(lead))] = 1.0
+    basis[follow] = -scale[follow, None] * np.linalg.solve(upper[:r, :r], upper[:r, r:]) / scale[lead]
+    return basis, r
+
+
+def nearest(rows: Array, least: Array) -> tuple[Array, Array] | None:
+    """Shortest w (n,) with A w >= b, and which rows of A (m, n) hold it there; None where no w meets them all.
+
+    Least distance programming as a non-negative least-squares problem, Lawson and Hanson, Solving Least Squares
+    Problems (1974), section 23.4; the rows that it finds then give w to the last digit.
+    """
+    if (least <= 0).all():
+        return np.zeros(rows.shape[1]), np.zeros(len(rows), dtype=bool)
+    from scipy.optimize import nnls  # a third of a second that those without bounds need not spend
+
+    sizes = np.linalg.norm(rows, axis=1)
+    moved = sizes > LEAST_SLOPE * sizes.max(initial=0.0)  # a bound that nothing can move is no matter of w
+    rows, least = (
+        rows / np.where(moved, sizes, np.inf)[:, None],
+        np.where(moved, least, 0.0) / np.where(moved, sizes, 1.0),
+    )
+    whole, wanted = np.vstack([rows.T, least]), np.append(np.zeros(rows.shape[1]), 1.0)
+    pull, missed = nnls(whole, wanted)
+    if missed <= LEAST_SLOPE:
+        return None
+    held = pull > 0
+    return np.linalg.lstsq(rows[held], least[held], rcond=None)[0], held
+
+
+def constrained_solution(
+    rows: Array, gradient: Array, damping: float, equal: Array, gap: Array, above: Array, least: Array
+) -> Array | None:
+    """Minimise |A s|^2 / 2 + damping |s|^2 / 2 + g's over s (n,) with E s = gap and B s >= least; None where none does.
+
+    Null-space method for the equalities (Nocedal and Wright, Numerical Optimization, 2nd edition, section 16.2), then
+    least distance in the metric of what is left. Directions that A does not see take no part, as in
+    `revealed_solution`.
+    """
+    left, sizes, right = svd(equal, full=True)
+    kept = sizes > LEAST_SLOPE * sizes.max(initial=0.0)
+    first, free = right[: len(sizes)][kept], right[int(kept.sum()) :]
+    s = first.T @ ((left.T @ gap)[: len(sizes)][kept] / sizes[kept])
+    _, values, directions = svd(rows @ free.T)
+    seen = values > len(values) * np.finfo(float).eps * values.max(initial=0.0)
+    # in units of these the objective is half the square of a length about -pull
+    basis = (free.T @ directions[seen].T) / np.sqrt(values[seen] ** 2 + damping)
+    s = s - basis @ (basis.T @ (gradient + rows.T @ (rows @ s) + damping * s))
+    found = nearest(above @ basis, least - above @ s)
+    return None if found is None else s + basis @ found[0]

@@ -38,7 +38,6 @@ from casacal.fit.bound_problem import BoundProblem, bind, each_alone
 from casacal.fit.least_squares import Result
 from casacal.fit.lm import lm
 from casacal.fit.methods import minimises
-from casacal.linalg import posterior_covariance
 from casacal.model.problem_file import ProblemFile
 from casacal.planning.cures import Cure, cure_for, cures
 from casacal.uncertainty.figures import HALF_WEIGHT, residual_figures
@@ -485,7 +484,8 @@ class Calibration(Value):
         1e-9 rounding would decide it, and no two runs could be compared. `structural` says what stays hidden.
         """
         joints, (drawn, x0) = workspace_joints(self.fit.problem.robot), arm_alone(self.bare, self.bare.x0)
-        return identifiability(drawn, drawn.tip_jacobian(x0, joints), drawn.tips(x0, joints))
+        slopes, tips = drawn.tip_jacobian(x0, joints), drawn.tips(x0, joints)
+        return identifiability(drawn, slopes, tips, active=self.result.active)
 
     @cached_property
     def cures(self) -> tuple[Cure, ...]:
@@ -508,7 +508,7 @@ class Calibration(Value):
         if all(direction.tip_mm < HARMLESS for direction in directions):
             return (NOT_NEEDED,) * len(directions)
         geometry, x = arm_alone(self.weighed, self.bare_x)
-        now = posterior_covariance(geometry.information(x), geometry.prior_information)
+        now = geometry.posterior(geometry.information(x), x)
         return tuple(
             NOT_NEEDED if direction.tip_mm < HARMLESS else cure_for(geometry, now, self.cures, direction)
             for direction in directions

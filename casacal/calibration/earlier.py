@@ -174,6 +174,9 @@ def _arm_of(source: Any) -> CalibratedArm:
         raise RefusedResultError(f"{result.file}: {words.removesuffix('.')}, so it is no prior", fix)
     if result.found.method == "truth":
         raise CasacalError(f"{result.file}: a true arm is not estimated, so it is no prior", "Give a calibration")
+    if result.source.problem.exact:  # no variance is left along them, and so no information that could be written
+        what = f"{result.file}: a result that keeps constraints exactly is no prior"
+        raise CasacalError(what, "Calibrate with the old and the new rows together")
     if result.found.data.instruments:
         fix = "Calibrate again with all rows"
         raise CasacalError(f"{result.file}: a result of several instruments is no prior of the rows of one", fix)

@@ -123,13 +123,16 @@ def _judged(found: Result) -> Result:
         return found
     if not math.isfinite(found.cost):
         return replace(found, status=Status.NOT_FINITE)
-    if found.cost > replace(found, x=found.problem.x0, information=None).cost * (1 + WORSE):
+    drawn = found.problem.feasible(found.problem.x0)
+    if found.cost > replace(found, x=drawn, information=None).cost * (1 + WORSE):
         return replace(found, status=Status.WORSE)
     if (
         found.status is Status.ONE_PASS
     ):  # is the minimum farther than its spread explains, a chi-square of all unknowns?
-        step = found.problem.damped_step(found.x, found.problem.normal(found.x), 0.0)
-        if step is not None and step.squared_length > found.problem.unknowns:
+        problem, normal = found.problem, found.problem.normal(found.x)
+        tied = problem.constraints is not None
+        step = (problem.constrained_step if tied else problem.damped_step)(found.x, normal, 0.0)
+        if step is not None and step.squared_length > problem.unknowns:
             return replace(found, status=Status.FAR)
     return found
 

@@ -67,6 +67,7 @@ def used_arm(fit: BoundProblem, result: Result, corrected: Collection[str]) -> A
     moves = np.linalg.lstsq(field[:, geometry] * arm.start_std[geometry], lost, rcond=SMALLEST)[0]
     used = np.where(left, 0.0, result.x)
     used[arm.free[geometry]] += moves * arm.start_std[geometry]
+    used = fit.feasible(used)
     faces = Conditioned(fit, fit.datum, used)
     return np.asarray(faces.expand(lm(faces, start=used[fit.datum]).x))
 

@@ -60,6 +60,7 @@ def calibration_document(
             "prior_moves": asdict(calibration.prior_moves),
             "set_aside": [asdict(finding) for finding in calibration.aside],
             "down_weighted_lines": calibration.down_weighted,
+            **parts.constraints_part(calibration),
             "reference": parts.reference_part(calibration.reference),
         }
     )

@@ -270,6 +270,18 @@ def picked(of: object, *names: str) -> dict[str, Any]:
     return {name: getattr(of, name) for name in names}
 
 
+def constraints_part(calibration: Calibration) -> dict[str, Any]:
+    """Constraints of the problem: their range, where the estimate is in it, and what holds it; empty without any."""
+    known, result = calibration.fit.constraints, calibration.result
+    if known is None:
+        return {}
+    values = dict(zip(known.names, known.evaluate(result.x)[0].tolist(), strict=True))
+    pulls = {name: {"multiplier": result.multipliers[name], "active": name in result.active} for name in known.names}
+    rows = [each for each in calibration.fit.problem.exact if each.name in values]
+    keys = ("name", "unit", "low", "high")
+    return {"constraints": [{**picked(r, *keys), "value": values[r.name], **pulls[r.name]} for r in rows]}
+
+
 def reference_part(reference: Reference | None) -> dict[str, Any] | None:
     """The independent solver's result; None where none ran."""
     if reference is None:

@@ -78,9 +78,12 @@ def sensitivity(fit: BoundProblem, result: Result, tip: Array) -> Sensitivity:
         rows = [[each.full() for each in of_row(*inputs, *row)] for row in zip(kind.data, kind.noise, strict=True)]
         hessian[np.ix_(kind.columns, kind.columns)] += np.sum([row[2] for row in rows], axis=0)
         found.append((np.array([row[0] for row in rows]), np.concatenate([row[1] for row in rows], axis=1)))
-    values, vectors = np.linalg.eigh(hessian * np.outer(fit.start_std, fit.start_std))
+    scale, along = fit.start_std[:, None], fit.tangent(result.x)
+    basis = None if along is None else np.linalg.qr(along / scale)[0]  # along what constraints leave
+    scaled = hessian * np.outer(fit.start_std, fit.start_std)
+    values, vectors = np.linalg.eigh(scaled if basis is None else basis.T @ scaled @ basis)
     held = values > len(values) * np.finfo(float).eps * values.max(initial=0.0)  # what nothing holds does not move
-    root = fit.start_std[:, None] * vectors[:, held]
+    root = scale * (vectors if basis is None else basis @ vectors)[:, held]
     inverse = (root / values[held]) @ root.T
     squares = inverse @ (tip.T @ tip) @ inverse / (len(tip) / 3)  # of the tip by gradients
     readings, by_reading = list[tuple[int | str, str]](), []

@@ -62,6 +62,7 @@ def doubts(calibration: Calibration) -> list[Doubt]:
     if not calibration.fit.unknowns:  # nothing moved, and nothing is known better or worse
         return []
     found: tuple[Callable[[Calibration], Doubt | None], ...] = (
+        _bounds_that_hold,
         _rows_set_aside,
         _tool_elsewhere,
         _far_parameters,
@@ -94,6 +95,19 @@ def _since_earlier(calibration: Calibration) -> Doubt | None:
         clause = "the earlier result was to be used with care"
         return Doubt(clause, f"{capital(clause)}: {earlier.verdict.words}")
     return None
+
+
+def _bounds_that_hold(calibration: Calibration) -> Doubt | None:
+    """Bounds of the problem on which the estimate lies: were they wrong, so would the arm be."""
+    active, known = calibration.result.active, {each.name: each for each in calibration.fit.problem.exact}
+    if not active:
+        return None
+    upper = [calibration.result.multipliers[name] > 0 for name in active]
+    ends = [known[name].high if up else known[name].low for name, up in zip(active, upper, strict=True)]
+    which = listed([f"'{name}' ({end:g} {known[name].unit})" for name, end in zip(active, ends, strict=True)])
+    clause = f"the samples would cross the bound {which}"
+    said = f"{capital(clause)}. The estimate lies on it, and every figure takes it for exact."
+    return Doubt(clause, said, "check the bound, or calibrate without it and see what the samples say by themselves")
 
 
 def _scale(calibration: Calibration) -> Doubt | None:

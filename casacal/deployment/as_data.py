@@ -31,6 +31,7 @@ HOMES: Mapping[str, str] = {
     "model.traced_pose": "Screws TracedPose",
     "model.unknown": "Parameter",
     "model.geometry": "Direction Plane Frame",
+    "model.constraint": "Constraint Correlation",
     "model.instrument": "Probe ResidualBlock TracedInstrument Trusted",
     "model.dial": "DialOnPlane DialOnBody Step",
     "model.points": "TrackedPoint KnownPoint FixedPoint Sockets Distance SphereTouch SelfContact",
@@ -73,6 +74,8 @@ def problem_data(problem: Problem) -> dict[str, Any]:
         data |= {"names": list(problem.names), "shared": _encoded(problem.shared)}
     if problem.terms and all(_is_of("casacal.effects", term) for term in problem.terms):
         data["effects"] = _encoded(problem.terms)
+    if problem.constraints:
+        data["constraints"] = _encoded(problem.constraints)
     return {"sha256": _digest(data), **data}
 
 
@@ -86,11 +89,12 @@ def problem_from(data: Mapping[str, Any]) -> Problem:
         pose = arm.pose if kept["pose"] is None else _decoded(kept["pose"])
         robot = Robot(str(kept["name"]), _decoded(kept["joints"]), pose, _decoded(kept["parameters"]), arm)
         measured = [_decoded(each) for each in kept["instruments"]]
+        constraints = _decoded(kept.get("constraints", []))
         if len(measured) == 1:
-            problem = Problem(robot, *measured)
+            problem = Problem(robot, *measured, constraints=constraints)
         else:
             named = dict(zip(map(str, kept["names"]), measured, strict=True))
-            problem = Problem(robot, named, shared=_decoded(kept["shared"]))
+            problem = Problem(robot, named, shared=_decoded(kept["shared"]), constraints=constraints)
         problem = problem.with_terms(*_decoded(kept.get("effects", [])))
         _ = problem.models, problem.free_names(), robot.limits  # what is wrong inside shows here, not later
         return problem

@@ -13,7 +13,7 @@ from casacal.data.columns import Labels
 from casacal.data.samples import Measurements, Samples, sets_of
 from casacal.errors import ProblemError, SamplesError
 from casacal.fit.blocks import Block, make_block
-from casacal.fit.kernel_rows import FEW, KernelRows, RawGraph
+from casacal.fit.kernel_rows import FEW, KernelRows, RawGraph, constraint_set, stated_prior
 from casacal.fit.least_squares import DampedStep, ExtendedPass, FilterPass, Gaussian, LeastSquares, Normal
 from casacal.fit.nominal import surveys_of
 from casacal.fit.slots import Slot, make_slots, nominals
@@ -80,15 +80,20 @@ def bind(
             not depend on it.
 
     Raises ProblemError when the number of sample sets is wrong, a label has too few rows for its own unknowns, a row
-    has a derivative that is not finite at the nominal, or there are more unknowns than `MOST_UNKNOWNS`.
+    has a derivative that is not finite at the nominal, constraints cannot be met together or say the same, or there are
+    more unknowns than `MOST_UNKNOWNS`.
 
     """
     for some in (sets := sets_of(samples)):
         if isinstance(some, Samples):  # what is none, is refused below
             _refuse_absurd(some)
-    bound = BoundProblem(problem, make_slots(problem, sets), sets, backend, threads)
+    slots = make_slots(problem, sets)
+    bound = BoundProblem(problem, slots, sets, backend, threads, known=stated_prior(problem.constraints, slots))
     if bound.unknowns and not np.isfinite(bound.normal(bound.x0).gradient).all():
         _refuse_kinks(bound)
+    if bound.constraints is not None and (twice := bound.constraints.redundant(bound.feasible(bound.x0))):
+        named = " and ".join(f"'{name}'" for name in twice)
+        raise ProblemError(f"The equalities {named} say the same of the unknowns", "Leave one of them out")
     return bound
 
 
@@ -159,6 +164,7 @@ class BoundProblem(LeastSquares):
         if self.known is not None:
             self.x0, self.prior_std = map(read_only, self.known.placed(self.names, self.x0, self.prior_std))
             self.start_std = read_only(np.where(np.isfinite(self.prior_std), self.prior_std, self.start_std))
+        self.constraints = constraint_set(problem.exact, self.slots, self.start_std)
         self.datum = read_only(np.repeat([slot.datum for slot in free], sizes).astype(bool))
         self.surveys = tuple(surveys) or surveys_of(problem, samples, nominals(self.slots))
         self._backend, self._threads = backend, thread_count(threads)  # as requested; `backend` is the one in use
@@ -498,7 +504,7 @@ class BoundProblem(LeastSquares):
     @cached_property
     def graph(self) -> RawGraph:
         """The symbolic form in raw coordinates, for the IPOPT reference."""
-        return RawGraph(self.slots, self.blocks, self._threads, self)
+        return RawGraph(self.slots, self.blocks, self._threads, self, self.problem.exact)
 
     @cached_property
     def symbolic(self) -> SymbolicProblem:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from casacal.errors import ProblemError
 from casacal.fit.least_squares import Conditioned, LeastSquares, Result, Status, nothing_unknown
 from casacal.fit.lm import lm
 from casacal.linalg import right_directions
@@ -65,6 +66,8 @@ def scipy_least_squares(problem: LeastSquares, *, max_evaluations: int = 200) ->
     """
     if not problem.unknowns:
         return nothing_unknown(problem, "trf")
+    if problem.constraints is not None:
+        raise ProblemError("scipy_least_squares takes no constraints, and this problem has some", "Use lm or ipopt")
     from scipy.optimize import least_squares  # a third of a second that other methods need not spend
 
     scale, pull = problem.start_std, problem.prior_rows * problem.start_std

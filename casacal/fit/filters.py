@@ -15,7 +15,7 @@ import numpy as np
 from casacal.fit.least_squares import ExtendedPass, FilterPass, LeastSquares, Result, Status, nothing_unknown
 from casacal.fit.lm import MAX_STEPS, lm
 from casacal.kernels.losses import Loss
-from casacal.linalg import downdated, tria
+from casacal.linalg import LEAST_SLOPE, downdated, nearest, svd, tria
 from casacal.values import Array, Value
 
 
@@ -76,9 +76,57 @@ def cubature_update(belief: Belief, h: Callable[[Array], Array], measured: float
     return Update(Belief(belief.mean + gain * innovation, root), innovation, innovation_std)
 
 
+def told(belief: Belief, rows: Array, values: Array) -> Belief:
+    """Take in A x = b exactly, A (m, n) and b (m,): a measurement update without noise.
+
+    With U S V' = A R, R the root: the mean moves by R V S^-1 U'(b - A x), and R (I - V V') is left of the root.
+    """
+    left, sizes, right = svd(rows @ belief.root)
+    kept = sizes > LEAST_SLOPE * sizes.max(initial=0.0)
+    seen, white = right[kept], (left.T @ (values - rows @ belief.mean))[kept] / sizes[kept]
+    return Belief(belief.mean + belief.root @ (seen.T @ white), tria(belief.root - (belief.root @ seen.T) @ seen))
+
+
 def begun(problem: LeastSquares) -> Belief:
-    """The belief before any row, in units of `start_std` about x0."""
-    return Belief(np.zeros(problem.unknowns), problem.prior_root)
+    """The belief before any row, in units of `start_std` about x0: the prior, told of the equalities."""
+    belief = Belief(np.zeros(problem.unknowns), problem.prior_root)
+    if problem.constraints is None:
+        return belief
+    known, x = problem.constraints.part(problem.constraints.equalities), problem.feasible(problem.x0)
+    rows = known.evaluate(x)[1] * problem.start_std
+    return told(belief, rows, rows @ ((x - problem.x0) / problem.start_std))
+
+
+BENDS = 8  # times that bounds are linearised anew: each time they bend a square less
+
+
+def settled(problem: LeastSquares, belief: Belief) -> Belief:
+    """The belief after all rows, within the constraints: both in units of `start_std` about x0.
+
+    The mean is brought onto curved equalities, and the covariance turned into their tangent. Where it crosses bounds it
+    becomes the point within them that is nearest in the metric of the covariance, and the bounds that hold it there are
+    taken in as equalities. A linear problem so has its exact minimum and covariance. A mean that nothing brings within
+    stays where the rows left it.
+    """
+    known, scale = problem.constraints, problem.start_std
+    if known is None or not np.isfinite(belief.root).all():
+        return belief
+    equal, bounds = known.part(known.equalities), known.part(~known.equalities)
+    if (x := equal.restored(problem.x0 + scale * belief.mean)) is None:
+        return belief
+    rows = equal.evaluate(x)[1] * scale
+    belief = Belief((x - problem.x0) / scale, belief.root - np.linalg.pinv(rows) @ (rows @ belief.root))
+    found = belief
+    for _ in range(BENDS):
+        (_, _, above, least), y = bounds.linearised(x), (x - problem.x0) / scale
+        step = nearest(above @ belief.root, least + above @ (y - belief.mean))
+        if step is None or not step[1].any():
+            break
+        found = told(belief, above[step[1]], (least + above @ y)[step[1]])
+        if (at := equal.restored(problem.x0 + scale * found.mean)) is None:
+            break
+        x, found = at, replace(found, mean=(at - problem.x0) / scale)
+    return found
 
 
 def take_in(problem: LeastSquares, belief: Belief, first: int, process_root: Array | None = None) -> FilterPass:
@@ -104,7 +152,8 @@ def sckf(
 ) -> Result:
     """One pass of the filter over the rows, from the prior (flat: `start_std`) to the posterior of f.
 
-    One pass only: a second one would count the data twice.
+    One pass only: a second one would count the data twice. With constraints the pass begins with what equalities say
+    (`begun`) and ends within all of them (`settled`); `x` of the trace has what the rows alone led to.
 
     Args:
         problem: its rows are measurements of zero with unit noise, in whitened units.
@@ -129,6 +178,7 @@ def sckf(
             kept.append(some)
         if progress is not None:
             progress(k, abs(float(trace[1][-1][-1])))
+    belief = settled(problem, belief)
     root = scale[:, None] * belief.root
     states, innovation, innovation_std = (np.concatenate(kept) for kept in trace)
     finite = bool(np.isfinite(belief.mean).all() and np.isfinite(root).all())
@@ -170,6 +220,8 @@ def linear_update(
 def ekf(problem: LeastSquares, *, progress: Callable[[int, float], None] | None = None) -> Result:
     """One pass of the filter over the rows, from the prior (flat: `start_std`) to the posterior of f.
 
+    Constraints as for `sckf`.
+
     Args:
         problem: its rows are measurements of zero with unit noise, in whitened units.
         progress: called with (rows done, size of the innovation) now and then.
@@ -180,7 +232,8 @@ def ekf(problem: LeastSquares, *, progress: Callable[[int, float], None] | None 
     if not problem.unknowns:
         return nothing_unknown(problem, "ekf")
     scale = problem.start_std
-    mean, covariance = np.zeros(problem.unknowns), problem.prior_root @ problem.prior_root.T
+    first = begun(problem)
+    mean, covariance = first.mean, first.root @ first.root.T
     done = problem.extended_pass(mean, covariance)
     if done is None:
         done = _row_by_row(problem, mean, covariance, progress)
@@ -188,6 +241,10 @@ def ekf(problem: LeastSquares, *, progress: Callable[[int, float], None] | None 
         progress(problem.rows, abs(float(done.innovations[-1])))
     finite = bool(np.isfinite(done.mean).all() and np.isfinite(done.covariance).all())
     means = np.vstack([problem.x0, problem.x0 + scale * done.means])
+    if finite and problem.constraints is not None:
+        values, vectors = np.linalg.eigh(done.covariance)  # which equalities leave without full rank
+        last = settled(problem, Belief(done.mean, vectors * np.sqrt(np.maximum(values, 0.0))))
+        done = replace(done, mean=last.mean, covariance=last.root @ last.root.T)
     return Result(
         method="ekf",
         problem=problem,

@@ -34,7 +34,10 @@ class RawForm(Protocol):
     start: Array
     """v of the nominal."""
     constraints: Any
-    """v -> g, zero where v is valid."""
+    """v -> g, zero where v is valid; after that the constraints of the problem (m,)."""
+    low: Array
+    high: Array
+    """Between what g lies: zeros, and then the constraints' ends."""
     local: Any
     """v -> x, the local coordinates of the other estimators."""
     prior: Callable[..., Any]
@@ -177,7 +180,7 @@ def nlpsol(
             made = ca.nlpsol(
                 "reference", solver, program, common | dict(_silent(solver, stage) if options is None else options)
             )
-            solution = made(x0=np.zeros(start.size), lbg=0.0, ubg=0.0)
+            solution = made(x0=np.zeros(start.size), lbg=graph.low, ubg=graph.high)
         except (RuntimeError, NotImplementedError) as error:
             said = next(iter(str(error).rpartition("failed:")[2].strip().splitlines()), "").rstrip(" :.")
             fix = "Give it other options, or use ipopt, fatrop or sqpmethod"
@@ -185,7 +188,7 @@ def nlpsol(
         del kept  # CasADi calls these but does not hold them
         start = objective.raw(np.asarray(solution["x"]).ravel())
     stats: dict[str, Any] = made.stats()
-    x = np.asarray(graph.local(start)).ravel()
+    x, multipliers = np.asarray(graph.local(start)).ravel(), np.asarray(solution["lam_g"]).ravel()
     history = stats.get("iterations") or {}
     return Result(
         method=solver,
@@ -201,6 +204,7 @@ def nlpsol(
         residual_rows=problem.rows * objective.evaluations,
         jacobian_rows=problem.rows * objective.evaluations,
         loss=loss,
+        dual=None if problem.constraints is None else multipliers[-len(problem.constraints.names) :],
     )
 
 

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 
+from casacal.errors import ProblemError
 from casacal.fit.blocks import Block
-from casacal.fit.least_squares import LeastSquares
+from casacal.fit.constrained import ConstraintSet
+from casacal.fit.least_squares import Gaussian, LeastSquares
 from casacal.fit.slots import Slot
 from casacal.kernels.block_rows import Buffered, CurvatureKernel
 from casacal.kernels.losses import Loss
 from casacal.kernels.rows import Lanes, Piece
+from casacal.linalg import LEAST_SLOPE
+from casacal.model.constraint import Constraint, Correlation
 from casacal.model.unknown import Parameter
 from casacal.threads import shared_out
 from casacal.values import Array, Index
@@ -47,7 +51,14 @@ class RawBlock:
 class RawGraph:
     """All rows in raw coordinates, with what makes these valid: attributes as of `casacal.fit.ipopt.RawForm`."""
 
-    def __init__(self, slots: Sequence[Slot], blocks: Sequence[Block], threads: int, problem: LeastSquares) -> None:
+    def __init__(
+        self,
+        slots: Sequence[Slot],
+        blocks: Sequence[Block],
+        threads: int,
+        problem: LeastSquares,
+        constraints: Sequence[Constraint] = (),
+    ) -> None:
         starts = np.cumsum([0] + [slot.unknown.raw_size for slot in slots])
         first = {slot.name: int(start) for slot, start in zip(slots, starts, strict=False)}
         found = []
@@ -60,8 +71,12 @@ class RawGraph:
         free = [slot for slot in slots if slot.unknown.size]
         self.blocks, self.start = tuple(found), np.concatenate([s.unknown.raw_start(s.nominal) for s in free])
         symbols = [ca.SX.sym(slot.name, slot.unknown.raw_size) for slot in slots]
+        at = dict(zip((slot.name for slot in slots), symbols, strict=True))
         pairs, v, none = list(zip(slots, symbols, strict=True)), ca.vertcat(*symbols), ca.SX(0, 1)
         valid = ca.densify(ca.vertcat(*(g for s, symbol in pairs for g in s.unknown.raw_constraints(symbol)), none))
+        ends = np.array([(0.0, 0.0)] * valid.numel() + [(each.low, each.high) for each in constraints])
+        self.low, self.high = ends.reshape(-1, 2).T
+        valid = ca.vertcat(valid, _quantities(constraints, slots, lambda s: s.unknown.raw_value(s.nominal, at[s.name])))
         local = (s.unknown.raw_local(s.nominal, symbol) for s, symbol in pairs if s.unknown.size)
         self.constraints = ca.Function("constraints", [v], [valid])
         self.local = ca.Function("local", [v], [ca.densify(ca.vertcat(*local, none))])
@@ -69,6 +84,77 @@ class RawGraph:
         multipliers = ca.SX.sym("lam", valid.numel())
         hessian, _ = ca.hessian(ca.dot(multipliers, valid), v)
         self.bend, self.bend_places = _by_entries(ca.Function("bend", [v, multipliers], [ca.triu(hessian)]), 0)
+
+
+def _quantities(constraints: Sequence[Constraint], slots: Sequence[Slot], value: Callable[[Slot], Any]) -> ca.SX:
+    """What constraints hold (m,), of the values of slots; ProblemError for a label that the samples do not have."""
+    placed = {slot.name: slot for slot in slots}
+
+    def packed(name: str) -> Any:
+        if name not in placed:
+            there = ", ".join(name for name in placed if "." in name)
+            raise ProblemError(f"A constraint names '{name}', which no samples are of", f"There are: {there or 'none'}")
+        slot = placed[name]
+        held = None if slot.unknown.size else slot.unknown.at(ca.DM(slot.nominal), ca.SX(0, 1))
+        return slot.unknown.packed(value(slot) if held is None else held)
+
+    return ca.densify(ca.vertcat(*(each.function(*map(packed, each.names)) for each in constraints), ca.SX(0, 1)))
+
+
+def constraint_set(constraints: Sequence[Constraint], slots: Sequence[Slot], scale: Array) -> ConstraintSet | None:
+    """Constraints as functions of x (n,), each coordinate of size `scale`; None without any. Raises ProblemError."""
+    if not constraints:
+        return None
+    x = ca.SX.sym("x", scale.size)
+    values = _quantities(constraints, slots, lambda s: s.unknown.at(ca.DM(s.nominal), x[list(s.columns)]))
+    slopes = ca.jacobian(values, x)
+    function = ca.Function("constraints", [x], [values, ca.densify(slopes)])
+
+    def evaluate(at: Array) -> tuple[Array, Array]:
+        there, matrix = function(at)
+        return np.asarray(there).ravel(), np.asarray(matrix)
+
+    names = tuple(each.name for each in constraints)
+    low, high = np.array([(each.low, each.high) for each in constraints]).T
+    return ConstraintSet(names, low, high, evaluate, np.array(ca.DM(slopes.sparsity(), 1)) > 0, scale)
+
+
+def stated_prior(known: Sequence[Constraint | Correlation], slots: Sequence[Slot]) -> Gaussian | None:
+    """Joint prior of unknowns that belong together, by correlation or by what is certified; None where none do.
+
+    Their own priors, correlated, are told the certified quantities as a Kalman filter is told linear measurements.
+    Raises ProblemError for a flat prior among them, and for a quantity that is not linear.
+    """
+    measured = [each for each in known if isinstance(each, Constraint) and each.std]
+    correlated = [each for each in known if isinstance(each, Correlation)]
+    if not measured and not correlated:
+        return None
+    free = [slot for slot in slots if slot.unknown.size]
+    every = [name for slot in free for name in slot.unknown.names(slot.name)]
+    stds = np.concatenate([np.zeros(0), *(slot.unknown.prior_stds for slot in free)])
+    told = constraint_set(measured, slots, np.ones(len(every)))
+    seen = np.array([any(name in each.names for each in correlated) for name in every], dtype=bool)
+    seen |= False if told is None else told.depends.any(axis=0)
+    names, std = tuple(np.array(every)[seen].tolist()), stds[seen]
+    for name in np.array(names)[~np.isfinite(std)].tolist():
+        raise ProblemError(f"'{name}' is known together with others, and its prior is flat", "Give it a prior_std")
+    matrix = np.eye(len(names))
+    for each in correlated:
+        own = [k for k, name in enumerate(each.names) if name in names]  # those that are held leave the others theirs
+        here = [names.index(each.names[k]) for k in own]
+        matrix[np.ix_(here, here)] = np.array(each.matrix)[np.ix_(own, own)]
+    prior = Gaussian(names, np.zeros(len(names)), matrix * np.outer(std, std))
+    if told is None:
+        return prior
+    values, slopes = told.evaluate(np.zeros(len(every)))
+    for name, bent in zip(told.names, slopes - told.evaluate(np.ones(len(every)))[1], strict=True):
+        if np.abs(bent).max() > LEAST_SLOPE:
+            raise ProblemError(f"'{name}' is certified, and not linear in the unknowns", "Certify sums of numbers")
+    rows = slopes[:, seen]
+    spread, noise = prior.covariance @ rows.T, np.diag([each.std**2 for each in measured])
+    gain = np.linalg.solve(rows @ spread + noise, spread.T).T
+    left = prior.covariance - gain @ spread.T
+    return Gaussian(names, gain @ (told.low - values), (left + left.T) / 2)
 
 
 def _by_entries(function: ca.Function, i: int) -> tuple[Buffered, Places]:

@@ -17,10 +17,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from casacal.errors import CasacalError, came
+from casacal.errors import CasacalError, ProblemError, came
+from casacal.fit.constrained import ConstraintSet
 from casacal.kernels.losses import Loss, worth_under
 from casacal.linalg import damped_solution, freed_of, posterior_covariance, revealed_solution, unit_scale, whitening_of
-from casacal.values import Array, Index, Rows, Value, frozen, short
+from casacal.values import EMPTY, Array, FrozenMapping, Index, Rows, Value, frozen, short
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +155,8 @@ class LeastSquares(ABC):
     """Mask (n,) of unknowns that only locate the touched face or the device; the control M0 fits these alone."""
     known: Gaussian | None = None
     """Joint prior of some unknowns; `x0` and `prior_std` are its marginals."""
+    constraints: ConstraintSet | None = None
+    """What x must meet; None where it is free."""
     graph: Any = None
     symbolic: Any = None
 
@@ -248,6 +251,44 @@ class LeastSquares(ABC):
         found = revealed_solution(stacked, gradient, damping)
         return None if found is None else DampedStep(x + scale * found[0], found[1], found[2])
 
+    def constrained_step(self, x: Array, normal: Normal, damping: float, loss: Loss | None = None) -> DampedStep | None:
+        """A damped step from x, which meets the constraints, to another x that does; None where none is found.
+
+        Gauss-Newton's quadratic over the linearised constraints, as in sequential quadratic programming (Nocedal and
+        Wright, Numerical Optimization, 2nd edition, section 18.1), then back onto them. Both ends meet the constraints,
+        so that the objective itself is the merit: no penalty is to be chosen, nor does one refuse good steps.
+        """
+        assert self.constraints is not None
+        scale = self.start_std
+        gradient = scale * (normal.gradient + self.prior_information @ (x - self.x0))
+        stacked = np.vstack([self.weighted_rows(x, loss), self.prior_rows]) * scale
+        found = self.constraints.stepped(x, stacked, gradient, damping)
+        if found is None:
+            return None
+        there, step = found
+        squared = float(((stacked @ step) ** 2).sum())
+        return DampedStep(there, squared, -float(gradient @ step) - squared / 2)
+
+    def feasible(self, x: Array) -> Array:
+        """An x (n,) near another that meets the constraints; ProblemError where none does near that one nor near x0."""
+        if self.constraints is None:
+            return x
+        found = self.constraints.restored(x)
+        found = self.constraints.restored(self.x0) if found is None else found
+        if found is None:
+            named = ", ".join(f"'{name}'" for name in self.constraints.names)
+            what = f"No values near the drawing meet the constraints ({named}) together"
+            raise ProblemError(what, "Leave one out, or widen it")
+        return found
+
+    def tangent(self, x: Array, active: Collection[str] | None = None) -> Array | None:
+        """Columns (n, k) along which x (n,) may move, as `ConstraintSet.tangent`; None where it is free."""
+        return None if self.constraints is None else self.constraints.tangent(x, active)
+
+    def posterior(self, information: Array, x: Array, active: Collection[str] | None = None) -> Array:
+        """Covariance (n, n) from the information J'J (n, n) of data at x and the prior, along `tangent`."""
+        return posterior_covariance(information, self.prior_information, self.tangent(x, active))
+
     def costs(self, states: Array, loss: Loss | None = None) -> Array:
         """Objective at many states (m, n): (m,)."""
         return np.array([self.cost(x, loss) for x in states])
@@ -312,6 +353,9 @@ class Conditioned(LeastSquares):
         self.x0, self.prior_std = whole.x0[self.free], whole.prior_std[self.free]
         self.start_std, self.datum = whole.start_std[self.free], whole.datum[self.free]
         self.known = whole.known
+        if whole.constraints is not None:
+            kept = np.asarray(whole.constraints.depends[:, self.free].any(axis=1))
+            self.constraints = whole.constraints.part(kept, self.free, self.expand) if kept.any() else None
         if whole.known is not None:
             held = set(whole.names) - {*self.names, *(whole.names[j] for j in self.out)}
             values = {name: float(at[j]) for j, name in enumerate(whole.names) if name in held}
@@ -403,6 +447,7 @@ class Result(Value):
     x: estimate (n,) in the units of `problem.units`, deviations from nominal. trace: one array per quantity, one entry
     per step. residual_rows, jacobian_rows: how many rows of each were evaluated. information: J'J (n, n) of the data
     at x, from which the covariance follows; belief: the covariance (n, n) itself, from a method that carries one along.
+    dual: multipliers of the constraints (m,) as a solver found them, where it finds them.
     """
 
     method: str
@@ -416,9 +461,10 @@ class Result(Value):
     loss: Loss | None = None
     information: Array | None = None
     belief: Array | None = None
+    dual: Array | None = None
 
     def __post_init__(self) -> None:
-        for name in ("x", "information", "belief", "trace"):
+        for name in ("x", "information", "belief", "dual", "trace"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     def __repr__(self) -> str:
@@ -433,7 +479,26 @@ class Result(Value):
         data = self.problem.normal(self.x, self.loss).information if self.information is None else self.information
         if self.loss is not None:  # what its weights, and rows that they hold down, leave
             data = worth_under(self.loss, self.problem.residual(self.x)) * data
-        return posterior_covariance(data, self.problem.prior_information)
+        return self.problem.posterior(data, self.x)
+
+    @property
+    def active(self) -> tuple[str, ...]:
+        """Names of the bounds on which x lies; equalities are not among them."""
+        if (known := self.problem.constraints) is None:
+            return ()
+        return tuple(np.array(known.names)[known.on_ends(self.x) & ~known.equalities].tolist())
+
+    @cached_property
+    def multipliers(self) -> Mapping[str, float]:
+        """Multiplier of each constraint by name: by how much the cost falls where its end is one unit higher.
+
+        Of a bound positive at the upper end, negative at the lower, zero where x does not lie on it. As the solver
+        found them, else those that balance the gradient at x best (Nocedal and Wright, section 18.3).
+        """
+        if (known := self.problem.constraints) is None:
+            return EMPTY
+        found = known.multipliers(self.x, self._normal.gradient) if self.dual is None else self.dual
+        return FrozenMapping(dict(zip(known.names, found.tolist(), strict=True)))
 
     @cached_property
     def cost(self) -> float:
@@ -478,10 +543,22 @@ class Result(Value):
         return np.sqrt(np.diagonal(self.covariance))
 
     @cached_property
+    def _normal(self) -> Normal:
+        """Normal equations of the whole objective at x, but for the prior's information."""
+        data = self.problem.normal(self.x, self.loss)
+        pull = self.problem.prior_information @ (self.x - self.problem.x0)
+        return replace(data, gradient=data.gradient + pull)
+
+    @cached_property
     def kkt(self) -> float:
-        """Largest component of the objective's gradient at x, in prior-scaled (flat: column-scaled) coordinates."""
-        normal = self.problem.normal(self.x, self.loss)
-        gradient = normal.gradient + self.problem.prior_information @ (self.x - self.problem.x0)
+        """Largest component of the objective's gradient at x, in prior-scaled (flat: column-scaled) coordinates.
+
+        With constraints of the Lagrangian's: apart from what their multipliers balance.
+        """
+        normal, gradient = self._normal, self._normal.gradient
+        if self.problem.constraints is not None:
+            held = np.array([*self.multipliers.values()])
+            gradient = gradient + self.problem.constraints.evaluate(self.x)[1].T @ held
         by_column = unit_scale(np.diagonal(normal.information))  # 1 / |column of the Jacobian| (More 1978)
         scales = np.where(np.isfinite(self.problem.prior_std), self.problem.prior_std, by_column)
         return float(np.abs(scales * gradient).max(initial=0.0))

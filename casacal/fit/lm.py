@@ -13,6 +13,8 @@ Damping shortens steps, so a short damped step proves nothing: only the undamped
 near the minimum it is the one that is taken. Where the normal equations are no longer safe, steps come from singular
 values, and directions that neither data nor prior hold are left alone.
 
+Constraints hold at every x on the way (`LeastSquares.constrained_step`), also where the first does not meet them.
+
 It stops where the undamped step falls below `tolerance` or its fall is lost in rounding after a step that converged
 (`Move.negligible`); where undamped steps no longer shorten, at the shortest (`Shortest.last`); where no damping lowers
 f (`Damping.stuck`, `given_up`); where f is not finite (`Point.usable`); and after `max_steps`.
@@ -172,6 +174,8 @@ def _hidden(step: DampedStep, here: Point) -> bool:
 
 def _step(problem: LeastSquares, here: Point, damping: float, loss: Loss | None) -> DampedStep | None:
     """A damped step from normal equations where these are safe, else from singular values; None unless it is finite."""
+    if problem.constraints is not None:
+        return problem.constrained_step(here.x, here.normal, damping, loss)
     step = problem.damped_step(here.x, here.normal, damping)
     if step is None:
         step = problem.revealing_step(here.x, here.normal, damping, loss)
@@ -209,7 +213,8 @@ def lm(
     if start is None and loss is not None and loss.after is not None:
         start = lm(problem, max_steps=max_steps, loss=loss.after).x
     with np.errstate(over="ignore", invalid="ignore"):  # a status says what is not finite
-        here = _point(problem, np.array(problem.x0 if start is None else start, dtype=np.float64), loss)
+        first = problem.feasible(np.array(problem.x0 if start is None else start, dtype=np.float64))
+        here = _point(problem, first, loss)
         level, last, shortest, tried, evaluations = Damping(damping), None, Shortest(), 0, 1
         trace = [(here.cost, level.mu, math.nan, math.nan)]
         status = None if here.usable else Status.NOT_FINITE

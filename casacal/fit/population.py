@@ -31,6 +31,10 @@ class Search:
                 f"A budget of {budget} rows and a box of {width:g} standard deviations were given",
                 f"Give at least the {problem.rows} rows of one candidate, and a positive width",
             )
+        if problem.constraints is not None:
+            named = ", ".join(problem.constraints.names)
+            what = f"Methods that search a box meet no constraint but by luck, and this problem has some ({named})"
+            raise ProblemError(what, "Use lm, sckf, sckf_lm, ekf or ipopt")
         self.problem, self.scale, self.loss = problem, width * problem.start_std, loss
         self.candidates = max(budget // problem.rows, 1)
         """Number of candidates that the budget allows."""

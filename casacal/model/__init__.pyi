@@ -4,6 +4,10 @@ from casacal.model.carriers import carried as carried
 from casacal.model.carriers import facing as facing
 from casacal.model.carriers import rail as rail
 from casacal.model.carriers import turntable as turntable
+from casacal.model.constraint import Constraint as Constraint
+from casacal.model.constraint import between as between
+from casacal.model.constraint import certified as certified
+from casacal.model.constraint import equal as equal
 from casacal.model.instrument import Probe as Probe
 from casacal.model.instrument import ResidualBlock as ResidualBlock
 from casacal.model.instrument import Sight as Sight

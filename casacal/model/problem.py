@@ -15,6 +15,7 @@ from casacal.data.read import read_any_table
 from casacal.data.samples import Layout, Samples
 from casacal.data.text import KEY, joined_tables
 from casacal.errors import ProblemError, SamplesError, UnknownNameError, came, refuse_unknown
+from casacal.model.constraint import Constraint, Correlation
 from casacal.model.instrument import Instrument, Words, check_declaration, with_setting, with_unknown
 from casacal.model.robot import Robot
 from casacal.model.symbols import Compiled, Symbols
@@ -45,6 +46,8 @@ class Problem(Value):
     """Names of the instruments."""
     shared: Shared
     """Keys of unknowns that some instruments have in common, and the names of these."""
+    constraints: tuple[Constraint | Correlation, ...]
+    """What is known of the unknowns beside rows and their own priors; expressions are graphs."""
 
     def __init__(
         self,
@@ -52,6 +55,7 @@ class Problem(Value):
         *instruments: Instrument | Mapping[str, Instrument],
         terms: Sequence[Term] = (),
         shared: Mapping[str, Sequence[str]] = EMPTY,
+        constraints: Sequence[Constraint | Correlation] = (),
         compiled: Compiled | None = None,
     ) -> None:
         """Put a problem together.
@@ -63,6 +67,8 @@ class Problem(Value):
                 takes those that any arm is expected to have.
             shared: which unknowns some instruments have in common, such as {"tool": ("dial", "spike")} where one tip
                 touches plates and a spike. All others are an instrument's own.
+            constraints: what the unknowns are known to meet, by `equal` and `between`, such as two lengths out of one
+                mould, which estimators keep exactly; and what was measured of them, by `certified`.
             compiled: of a problem that differs in terms and priors alone; by default nothing is compiled yet.
 
         """
@@ -79,6 +85,7 @@ class Problem(Value):
         object.__setattr__(self, "instruments", tuple(named.values()))
         object.__setattr__(self, "names", tuple(named))
         object.__setattr__(self, "shared", _shared_by(shared, named))
+        object.__setattr__(self, "constraints", self._traced(constraints))
         if compiled is not None:
             object.__setattr__(self, "_compiled", compiled)
 
@@ -87,7 +94,8 @@ class Problem(Value):
         if self is other or not isinstance(other, Problem):
             return self is other
         alike = self.names == other.names or len(self.instruments) == 1  # an only one needs no name
-        return alike and self.shared == other.shared and self._symbols == other._symbols
+        known = self.shared == other.shared and self.constraints == other.constraints
+        return alike and known and self._symbols == other._symbols
 
     def __hash__(self) -> int:
         return hash((self.robot, tuple(type(instrument).__qualname__ for instrument in self.instruments)))
@@ -125,8 +133,10 @@ class Problem(Value):
         return Words(unit=units, before=f"{alone} fitted alone", trusted=trusted)
 
     def measured_by(self, name: str) -> Problem:
-        """A copy with one of its instruments; raises UnknownNameError where there is no such one."""
-        return Problem(self.robot, {name: self.instruments[self.number(name)]}, terms=self.terms)
+        """A copy with one of its instruments, and what is known of the arm; UnknownNameError where it has none such."""
+        arms, only = set(self.robot.parameters), {name: self.instruments[self.number(name)]}
+        kept = [each for each in self.constraints if arms.issuperset(each.names)]
+        return Problem(self.robot, only, terms=self.terms, constraints=kept)
 
     def number(self, name: str) -> int:
         """Which instrument has a name, from 0; raises UnknownNameError where none has it."""
@@ -151,12 +161,13 @@ class Problem(Value):
         instruments: Sequence[Instrument],
         *,
         terms: Sequence[Term] | None = None,
+        constraints: Sequence[Constraint | Correlation] | None = None,
         compiled: Compiled | None = None,
     ) -> Problem:
         """A copy with another robot, other instruments of the same names, perhaps other terms; see `Problem`."""
         together = dict(zip(self.names, instruments, strict=True))
-        terms = self.terms if terms is None else terms
-        return Problem(robot, together, terms=terms, shared=self.shared, compiled=compiled)
+        terms, known = self.terms if terms is None else terms, self.constraints if constraints is None else constraints
+        return Problem(robot, together, terms=terms, shared=self.shared, constraints=known, compiled=compiled)
 
     @property
     def model(self) -> RowModel:
@@ -169,6 +180,7 @@ class Problem(Value):
         """SHA-256 of what it computes, of its priors and of what its instruments read."""
         parts = [f"{self.layout(i)!r}\n{model.text}" for i, model in enumerate(self.models)]
         parts += [f"{key} {unknown!r}" for key, unknown in self._named()] + [repr(term) for term in self.terms]
+        parts += [repr(each) for each in self.constraints]
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
     @cached_property
@@ -253,15 +265,27 @@ class Problem(Value):
             changed = changed._with(key, known[key].freed(None if name == key else name.removeprefix(key)))
         return changed
 
-    def with_prior(self, stds: Mapping[str, float]) -> Problem:
+    def with_prior(
+        self, stds: Mapping[str, float] = EMPTY, *, covariance: Mapping[tuple[str, ...], Any] = EMPTY
+    ) -> Problem:
         """Copy with other prior standard deviations, mm or rad, by key or component; `math.inf` is flat.
 
-        Raises UnknownNameError for a name that does not exist or is held, ProblemError for one of mixed units.
+        covariance: matrices (k, k) of prior errors that belong together, by the names of these components, such as
+        {("a2", "a3"): [[0.4, 0.1], [0.1, 0.4]]}. Standard deviations that are given later keep the correlation.
+
+        Raises UnknownNameError for a name that does not exist or is held, ProblemError for one of mixed units, what is
+        no covariance, and names in two of them.
         """
-        changed = self
+        changed, known = self, list(self.constraints)
+        for names, matrix in covariance.items():
+            one, own = Correlation.of(names, matrix)
+            known = [each for each in known if each.name != one.name]
+            if both := {n for each in known if isinstance(each, Correlation) for n in each.names}.intersection(names):
+                raise ProblemError(f"'{min(both)}' is known together with others", "Give one covariance of all")
+            known, stds = [*known, one], {**stds, **own}
         for name, std in stds.items():
             changed = changed._edit(name, partial(_with_std, name, std))
-        return changed.with_parts(changed.robot, changed.instruments, compiled=self._compiled)
+        return changed.with_parts(changed.robot, changed.instruments, constraints=known, compiled=self._compiled)
 
     def with_settings(self, values: Mapping[str, float | tuple[float, float]]) -> Problem:
         """Copy with other numbers of its instrument, such as {"sign": -1}, {"noise_std": 0.02}, {"travel": (-5, 5)}.
@@ -299,6 +323,23 @@ class Problem(Value):
             for key, unknown in instrument.unknowns.items():
                 found.setdefault(full[key], unknown)
         yield from found.items()
+
+    @property
+    def exact(self) -> tuple[Constraint, ...]:
+        """The constraints that hold exactly."""
+        return tuple(each for each in self.constraints if isinstance(each, Constraint) and not each.std)
+
+    def _traced(self, constraints: Any) -> tuple[Constraint | Correlation, ...]:
+        """Constraints with their expressions as graphs; ProblemError for what is none, or has another's name."""
+        if not isinstance(constraints, (tuple, list)):
+            raise ProblemError(f"Got {came(constraints)} as the constraints", "Give them in a tuple")
+        unknowns = dict(self._named()) if constraints else {}
+        for k, each in enumerate(constraints):
+            if not isinstance(each, (Constraint, Correlation)):
+                raise ProblemError(f"Got {came(each)} as a constraint", "Give what equal, between or certified makes")
+            if each.name in (other.name for other in constraints[:k]):
+                raise ProblemError(f"Two constraints are called '{each.name}'", "Give each a name of its own")
+        return tuple(each.traced(unknowns) for each in constraints)
 
     @property
     def _said(self) -> str:

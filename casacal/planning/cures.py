@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from casacal.data.samples import Samples
 from casacal.effects.selection import MANY
@@ -85,10 +86,12 @@ def cures(bound: BoundProblem, x: Array, *, stays: float = 0.0) -> tuple[Cure, .
     """
     if not (x.size and np.isfinite(x).all()):
         return ()
-    data, field = bound.information(x), _field(bound, x)
+    data, field, along = bound.information(x), _field(bound, x), bound.tangent(x)
 
     def judged(information: Array, prior: Array) -> tuple[float, Array]:
-        covariance = posterior_covariance(information, prior)[: x.size, : x.size]  # the last unknowns move no tip
+        more = np.eye(len(information) - x.size)  # the last unknowns move no tip
+        within = None if along is None else block_diag(along, more)
+        covariance = posterior_covariance(information, prior, within)[: x.size, : x.size]
         return math.sqrt(float((tip_stds(covariance, field) ** 2).sum(axis=1).mean()) + stays), covariance
 
     found: dict[str, tuple[float, Array, CureOutcome]] = {}

@@ -35,7 +35,7 @@ class Metered(LeastSquares):
         self.problem = problem
         self.names, self.units, self.x0 = problem.names, problem.units, problem.x0.copy()
         self.prior_std, self.start_std = problem.prior_std.copy(), problem.start_std.copy()
-        self.datum, self.known = problem.datum.copy(), problem.known
+        self.datum, self.known, self.constraints = problem.datum.copy(), problem.known, problem.constraints
         self.residual_rows, self.jacobian_rows, self.used_graph = 0, 0, False
         self.best: list[tuple[int, int, float]] = []
 

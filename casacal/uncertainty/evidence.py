@@ -126,7 +126,8 @@ def effect_sizes(
     if start is None and stated * (least or 1.0) < 1 / MORE:
         starts.append(np.append(np.where(most > math.log(LARGE), math.log(LARGE), 0.0), 0.0))
     normal, prior = normal or normal_equations(problem, x), np.diagonal(problem.prior_information)
-    args = (normal, problem.rows, prior, groups, expected, spread)
+    joint = None if problem.known is None else problem.prior_information - np.diag(prior)
+    args = (normal, problem.rows, prior, joint, groups, expected, spread)
     if search:
         found = [minimize(_objective, at, args, "L-BFGS-B", jac=True, bounds=bounds, options=STOP) for at in starts]
         cost, logs = min(((float(top.fun), top.x) for top in found), key=lambda top: top[0])
@@ -141,21 +142,27 @@ def _objective(
     normal: NormalEquations,
     rows: int,
     beforehand: Array,
+    joint: Array | None,
     groups: Sequence[NDArray[np.intp]],
     expected: Array,
     spread: Array,
 ) -> tuple[float, Array]:
-    """-2 log of the marginal likelihood and of the hyper-priors, and its gradient, by logarithms of sizes and noise."""
+    """-2 log of the marginal likelihood and of the hyper-priors, and its gradient, by logarithms of sizes and noise.
+
+    beforehand: diagonal (n,) of the prior's information. joint: what stands beside it (n, n), of geometry alone.
+    """
     variance, prior = math.exp(2 * logs[-1]), beforehand.copy()
     for log, group in zip(logs[:-1], groups, strict=True):
         prior[group] *= math.exp(-2 * log)
     posterior = normal.information / variance
     posterior.flat[:: len(prior) + 1] += prior
+    posterior = posterior if joint is None else posterior + joint
     scale = 1.0 / np.sqrt(np.diagonal(posterior))
     root, failed = dpotrf(scale[:, None] * posterior * scale, lower=1)
     if failed:
         return math.inf, np.zeros_like(logs)
-    spreads = np.diagonal(dpotri(root, lower=1)[0]) * scale**2
+    inverse = dpotri(root, lower=1)[0]
+    spreads = np.diagonal(inverse) * scale**2
     x = scale * dpotrs(root, scale * normal.toward / variance, lower=1)[0]
     left = normal.square - 2 * float(normal.toward @ x) + float(x @ normal.information @ x)
     held = prior > 0
@@ -164,6 +171,9 @@ def _objective(
     moved = prior * (spreads + x**2)
     gradient = [2 * (group.size - float(moved[group].sum())) for group in groups]
     learnt = len(prior) - float((prior * spreads).sum())
+    if joint is not None:
+        value += float(x @ joint @ x)
+        learnt -= 2 * float((np.tril(inverse, -1) * joint * np.outer(scale, scale)).sum())
     gradient.append(2 * (rows - learnt - left / variance))
     free = spread > 0
     off = logs - expected

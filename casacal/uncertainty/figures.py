@@ -17,13 +17,23 @@ LARGE = 50_000  # rows among which it is no matter whether an unknown more or le
 
 
 def effective_unknowns(problem: LeastSquares, x: Array, loss: Loss | None = None) -> float:
-    """Number of unknowns that the data determined at x (n,): the trace of the hat matrix, under any mix of priors."""
+    """Number of unknowns that the data determined at x (n,): the trace of the hat matrix, under any mix of priors.
+
+    What constraints settle counts as none.
+    """
+    along, prior = problem.tangent(x), problem.prior_rows
     if problem.rows > LARGE:
-        return determined(problem.normal(x, loss).information, problem.prior_rows)
-    rows = problem.weighted_rows(x, loss)
+        information = problem.normal(x, loss).information
+        return determined(information if along is None else along.T @ information @ along, _along(prior, along))
+    rows = _along(problem.weighted_rows(x, loss), along)
     if not np.isfinite(rows).all():
         return 0.0
-    return float(((rows @ _inverse_root(rows, problem.prior_rows)) ** 2).sum())
+    return float(((rows @ _inverse_root(rows, _along(prior, along))) ** 2).sum())
+
+
+def _along(rows: Array, along: Array | None) -> Array:
+    """Rows (k, n) by the unknowns that constraints leave; themselves where they leave all."""
+    return rows if along is None else rows @ along
 
 
 def leverages(bound: BoundProblem, result: Result) -> Array:
@@ -32,7 +42,9 @@ def leverages(bound: BoundProblem, result: Result) -> Array:
     By an orthonormal basis of what the rows and the prior see, scaled column by column: right under flat priors too,
     where a covariance holds variances that no digit survives.
     """
-    held = _inverse_root(bound.weighted_rows(result.x, result.loss), bound.prior_rows)
+    along = bound.tangent(result.x)
+    held = _inverse_root(_along(bound.weighted_rows(result.x, result.loss), along), _along(bound.prior_rows, along))
+    held = held if along is None else along @ held
     count, found = len(bound.measured), []
     for rows in np.array_split(np.arange(count), 1 + count // TOGETHER):
         part = bound if rows.size == count else bound.take(rows)

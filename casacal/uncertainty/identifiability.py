@@ -8,7 +8,7 @@ times 1 mrad and 1 mm, whatever the priors say; in the space that it sees, colum
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
@@ -90,21 +90,24 @@ class Identifiability:
         return replace(self, null=null, weak=weak)
 
 
-def identifiability(problem: LeastSquares, tip_jacobian: Array, tips: Array) -> Identifiability:
-    """Rank, null directions and weak directions of a problem at its nominal.
+def identifiability(
+    problem: LeastSquares, tip_jacobian: Array, tips: Array, *, active: Collection[str] = ()
+) -> Identifiability:
+    """Rank, null directions and weak directions of a problem at its nominal, along what constraints leave there.
 
     Args:
         problem: its Jacobian at x0 is judged.
         tip_jacobian: of the workspace tips by x, (3 N, n), mm per unit of x.
         tips: those tips (N, 3), mm, in the frame whose origin scale keeps in place.
+        active: names of the bounds that count as equalities. Unknowns are then as many as are left to be told.
 
     """
     scale, natural = prior_scale(problem), natural_scale(problem)
     # unknowns are ranked by how far they move things, an angle at a lever of a metre
     lever = np.where(np.array(problem.units) == "rad", LEVER, 1.0)
-    rank, space = row_space(problem.compact_jacobian(problem.x0) * natural)
+    rank, space = _seen(problem, problem.x0, active)
     field = tip_jacobian * scale
-    elsewhere = [_null_projector(problem, seed) for seed in range(PERTURBATIONS)]
+    elsewhere = [_null_projector(problem, seed, active) for seed in range(PERTURBATIONS)]
 
     def cost(direction: Array) -> float:
         return tip_rms(without_rigid(field @ (direction / np.linalg.norm(direction)), tips))
@@ -116,8 +119,10 @@ def identifiability(problem: LeastSquares, tip_jacobian: Array, tips: Array) -> 
             words = f"{_named(change * natural * lever, problem.names)}: {MEANING[kind]}"
             direction = change * natural / scale
             null.append(NullDirection(kind, direction, words, cost(direction), min(kept) > SAME_DIRECTION))
-    whole, _ = np.linalg.qr(np.column_stack([space[rank:].T * (natural / scale)[:, None], np.eye(problem.unknowns)]))
-    rest = whole[:, problem.unknowns - rank :]  # complement of the null space
+    unseen, left = space[rank:].T * (natural / scale)[:, None], len(space)
+    along = np.eye(left) if left == problem.unknowns else np.linalg.qr((space * (natural / scale)).T)[0]
+    whole, _ = np.linalg.qr(np.column_stack([along.T @ unseen, np.eye(left)]))
+    rest = along @ whole[:, left - rank :]  # complement of the null space
     _, sizes, within = svd((problem.compact_jacobian(problem.x0) * scale) @ rest)
     right = within @ rest.T
     weak = [
@@ -126,8 +131,8 @@ def identifiability(problem: LeastSquares, tip_jacobian: Array, tips: Array) -> 
         if size < 1
     ]
     condition = float(sizes[0] / sizes[-1]) if rank else float("inf")
-    values = np.concatenate([sizes, np.zeros(problem.unknowns - rank)])
-    return Identifiability(problem.unknowns, rank, condition, values, tuple(null), tuple(weak))
+    values = np.concatenate([sizes, np.zeros(left - rank)])
+    return Identifiability(left, rank, condition, values, tuple(null), tuple(weak))
 
 
 def prior_scale(problem: LeastSquares) -> Array:
@@ -143,12 +148,23 @@ def correlated_pairs(covariance: Array, names: Sequence[str]) -> list[tuple[str,
     return sorted(pairs, key=lambda pair: -abs(pair[2]))
 
 
-def _null_projector(problem: LeastSquares, seed: int) -> Array:
+def _seen(problem: LeastSquares, x: Array, active: Collection[str]) -> tuple[int, Array]:
+    """As `row_space` of the whitened Jacobian at x in natural units, (k, n) along the k ways that constraints leave."""
+    natural, along = natural_scale(problem), problem.tangent(x, active)
+    rows = problem.compact_jacobian(x) * natural
+    if along is None:
+        return row_space(rows)
+    basis, _ = np.linalg.qr(along / natural[:, None])
+    rank, right = row_space(rows @ basis)
+    return rank, right @ basis.T
+
+
+def _null_projector(problem: LeastSquares, seed: int, active: Collection[str]) -> Array:
     """Projector (n, n) on the null space, in natural units, at parameters off by random errors of those sizes."""
     natural = natural_scale(problem)
     size = np.minimum(prior_scale(problem), natural)
     x = problem.x0 + size * np.random.default_rng(seed).normal(size=problem.unknowns)
-    rank, right = row_space(problem.compact_jacobian(x) * natural)
+    rank, right = _seen(problem, x, active)
     return np.asarray(right[rank:].T @ right[rank:])
 
 

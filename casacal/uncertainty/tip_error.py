@@ -192,7 +192,8 @@ def planned_accuracy(bound: ArmProblem) -> tuple[float, float]:
     Apart from where the base stands. At the nominal, so that it can be asked of planned or simulated touches before
     anyone moves a robot. It trusts stated noise and priors.
     """
-    return expected_accuracy(bound, bound.x0)
+    free = None if bound.constraints is None else bound.posterior(bound.information(bound.x0), bound.x0, ())
+    return expected_accuracy(bound, bound.x0, covariance=free)
 
 
 def expected_accuracy(
@@ -206,6 +207,8 @@ def expected_accuracy(
 ) -> tuple[float, float]:
     """Expected accuracy at x (n,), of tip or flange origin; `off` as for `tip_stds`, `usual` as for `Block.posture`.
 
+    Constraints hold in both figures, bounds on which x lies in the second alone.
+
     covariance: (n, n) of an estimate that does not count all rows alike; by default what rows and prior give.
     """
     joints = workspace_joints(bound.problem.robot)
@@ -214,10 +217,10 @@ def expected_accuracy(
     else:
         tips, slopes = bound.tips(x, joints), bound.tip_jacobian(x, joints, usual=usual)
     information = bound.information(x if off is None else x + off)
-    before = bayesian_bound(np.zeros_like(information), bound.prior_information, slopes, tips)
+    before = spread_rms(bound.posterior(np.zeros_like(information), x, ()), slopes, tips)
     if covariance is not None:
         return before, spread_rms(covariance, slopes, tips, off)
-    return before, bayesian_bound(information, bound.prior_information, slopes, tips, off)
+    return before, spread_rms(bound.posterior(information, x), slopes, tips, off)
 
 
 def classical_accuracy(bound: ArmProblem, x: Array) -> tuple[float, int]:
@@ -226,9 +229,11 @@ def classical_accuracy(bound: ArmProblem, x: Array) -> tuple[float, int]:
     Infinite when there is such a direction.
     """
     joints = workspace_joints(bound.problem.robot)
-    return classical_bound(
-        bound.compact_jacobian(x), natural_scale(bound), bound.tip_jacobian(x, joints), bound.tips(x, joints)
-    )
+    rows, scale, slopes = bound.compact_jacobian(x), natural_scale(bound), bound.tip_jacobian(x, joints)
+    if (along := bound.tangent(x)) is not None:
+        along, _ = np.linalg.qr(along / scale[:, None])
+        rows, slopes, scale = (rows * scale) @ along, (slopes * scale) @ along, np.ones(along.shape[1])
+    return classical_bound(rows, scale, slopes, bound.tips(x, joints))
 
 
 def accuracy_in_box(bound: ArmProblem, x: Array, box: Box, off: Array | None = None) -> tuple[float, float]:
@@ -241,7 +246,7 @@ def accuracy_in_box(bound: ArmProblem, x: Array, box: Box, off: Array | None = N
     field = up_to_base(
         bound.tip_jacobian(x, joints), bound.tips(x, joints), bound.tip_jacobian(x, frame), bound.tips(x, frame)
     )
-    covariance = posterior_covariance(bound.information(x if off is None else x + off), bound.prior_information)
+    covariance = bound.posterior(bound.information(x if off is None else x + off), x)
     stds = np.linalg.norm(tip_stds(covariance, field, off), axis=1)
     return math.sqrt(float((stds**2).mean())), float(stds.max())
 
