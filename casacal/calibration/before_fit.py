@@ -59,6 +59,8 @@ def lost_targets(problem: Problem, samples: Samples) -> tuple[list[Finding], Sam
         about, why, travel = "lost target", "of a target that was lost", -math.inf
     else:
         return [], samples
+    if not len(samples):
+        return [], samples
     told, (low, high) = np.column_stack([samples.columns[name] for name in names]), readings_within(travel)
     lost = (np.abs(told) >= ABSURD).any(axis=1) | ((told == 0).all(axis=1) & (high < low))
     far = max(low - told[0, 0], told[0, 0] - high) > FAR * (high - low)

@@ -31,7 +31,7 @@ from casacal.effects.selection import (
     errors_are_shared,
     leave_one_face_out,
 )
-from casacal.effects.trusted import Leverage, TrustedConstants, leverages, with_constants
+from casacal.effects.trusted import Leverage, TrustedConstants, beyond, leverages, with_constants
 from casacal.errors import CasacalError
 from casacal.fit.arm_alone import ArmAlone, ArmProblem, arm_alone, extended
 from casacal.fit.bound_problem import BoundProblem, bind, each_alone
@@ -209,8 +209,13 @@ class Calibration(Value):
 
     @cached_property
     def doubted(self) -> BoundProblem:
-        """`bare` with the constants that the instruments take for exact as unknowns; itself where effects are out."""
-        return self.bare if self.bare is self.fit else self.bare.under(with_constants(self.bare.problem))
+        """`bare` with the constants that the instruments take for exact as unknowns.
+
+        Itself where the fit has none of them, or one is farther off than its prior covers, which is a mistake to find.
+        """
+        if TrustedConstants.key not in self.fit.beside or beyond(self.fit, self.result.x):
+            return self.bare
+        return self.bare.under(with_constants(self.bare.problem))
 
     @cached_property
     def plain(self) -> Result:
@@ -496,7 +501,8 @@ class Calibration(Value):
         stays.
         """
         rows = self.doubted.with_noise(self.fit.scale)  # a step tells a dial's gain, too
-        x = self.result.x[[key in ("", TrustedConstants.key) for key in self.fit.beside]]
+        at = dict(zip(self.fit.names, self.result.x, strict=True))
+        x = np.array([at[name] for name in rows.names])
         stays = self.tip_std[1] ** 2 - expected_accuracy(rows, x)[1] ** 2
         return cures(rows, x, stays=max(stays, 0.0) if math.isfinite(stays) else 0.0)
 

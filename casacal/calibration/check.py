@@ -36,7 +36,7 @@ from casacal.calibration.set_aside import gross, off_their_face, robust_fit, sin
 from casacal.data.repeats import without_copies
 from casacal.data.samples import Measurements, Samples
 from casacal.effects.selection import dial_errors, effect_sizes_of, with_effects
-from casacal.effects.trusted import with_constants
+from casacal.effects.trusted import beyond, with_constants
 from casacal.errors import CasacalError, came
 from casacal.fit.bound_problem import BoundProblem, bind, each_alone
 from casacal.fit.lm import lm
@@ -159,9 +159,9 @@ def check(problem: Problem, samples: Samples | Measurements, *, confirmed: bool 
 
 def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding]:
     """Findings on the samples of a problem's only instrument."""
-    drawn, problem = problem, with_constants(problem)
+    drawn = problem
     lost, samples = lost_targets(problem, samples)
-    if not len(samples):
+    if lost and not len(samples):
         return lost
     findings = [*lost, *repeated(samples), *outside(problem, samples)]
     findings += [*absent_labels(problem, samples), *odd_labels(problem, samples), *lost_steps(problem, samples)]
@@ -177,6 +177,9 @@ def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding
     bad, stray = off_their_face(bound, scatter)
     good = samples.take(np.flatnonzero(~bad)) if bad.any() else samples
     few = _few_of_each_face(problem, good)
+    doubting = quick_fit(with_constants(problem), few)
+    if doubting is not None and not beyond(doubting[0], doubting[1].x):  # else a mistake to find, such as a wrong scale
+        problem = with_constants(problem)
     base = misfit(problem, few)
     if base > SUSPICIOUS and bad.sum() > MOST_STRAY * len(samples):
         good, few = samples, _few_of_each_face(problem, samples)

@@ -11,6 +11,7 @@ import numpy as np
 from casacal.calibration.finding import Fault, Finding, Undone, quick_fit
 from casacal.data.samples import Samples
 from casacal.effects.selection import regions_borne_out, with_effects
+from casacal.effects.trusted import CONSTANTS
 from casacal.errors import CasacalError
 from casacal.fit.arm_alone import ArmProblem
 from casacal.fit.bound_problem import BoundProblem, bind, times
@@ -20,7 +21,7 @@ from casacal.model.problem import Problem
 from casacal.model.unknown import Parameter
 from casacal.uncertainty.evidence import evidence, normal_equations
 from casacal.uncertainty.figures import noise_interval
-from casacal.uncertainty.moves import chance_of_move, common_scale
+from casacal.uncertainty.moves import DULL, chance_of_move, common_scale
 from casacal.uncertainty.noise import found_noise
 from casacal.uncertainty.tip_error import tip_rms, tip_stds, without_rigid, workspace_joints
 from casacal.values import Array, Index
@@ -144,8 +145,6 @@ TWISTS = "alpha", "beta"  # angles of a DH table that no mastering moves
 WRONG = 5.0  # prior standard deviations from the drawing at which a number is another, not an error of manufacture
 SURE = 3.0  # standard deviations, with the noise as found, by which it must lie beyond
 
-SEEN = 0.05  # part of a prior's variance that the rows must take away before they say that the number is another
-
 ALONE = 16.0
 """Times the others' mean by which what a number's prior costs must stand out: four standard deviations, squared."""
 
@@ -174,8 +173,17 @@ def wrong_number(bound: BoundProblem, *, alone: bool = False) -> list[Finding]:
     A prior that holds a number back from where it is leaves residuals that look like noise, and once they count as
     noise, nothing contradicts the prior any more. So this looks at the fit with the noise as stated. Where the rows are
     likelier with the number as drawn and larger effects beside the geometry, it is not said to be another, unless
-    geometry is to stand `alone`.
+    geometry is to stand `alone`; nor where only the constants that an instrument takes for exact, or only their being
+    unknown, make it seem so.
     """
+    found = _wrong_number(bound, alone)
+    if found and CONSTANTS in bound.problem.terms:
+        exact = bound.problem.with_terms(*(term for term in bound.problem.terms if term != CONSTANTS))
+        return found if _wrong_number(bound.under(exact), alone) else []
+    return found
+
+
+def _wrong_number(bound: BoundProblem, alone: bool) -> list[Finding]:
     stated = bound.with_noise() if bound.scale else bound
     result = lm(stated)
     if not result.converged:
@@ -303,7 +311,7 @@ def _promising(bound: BoundProblem, x: Array, variances: Array) -> list[tuple[st
     for name, key, std, unit in priors_of(bound.problem):
         j = bound.names.index(name)
         learned = std**2 - variances[j]
-        gains[name, key, unit] = float(x[j] ** 2 / learned) if learned > SEEN * std**2 else 0.0
+        gains[name, key, unit] = float(x[j] ** 2 / learned) if learned > DULL * std**2 else 0.0
     order, total = sorted(gains, key=lambda each: -gains[each]), sum(gains.values())
     others = max(len(gains) - 1, 1)
     return [each for each in order[:TRIED] if gains[each] > ALONE * max((total - gains[each]) / others, 1.0)]

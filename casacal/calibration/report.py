@@ -293,7 +293,6 @@ def report_page(
     each = tuple(Touches.of(calibration, i) for i in range(len(calibration.fit.samples)))
     problem, verdict, denied = calibration.fit.problem, calibration.verdict, calibration.denied
     noise, closing = noise_part(calibration.unjudged), closing_part(calibration.result, calibration.seconds)
-    planes = geometry(calibration.fit, calibration.used_x)["planes"]
     parameters, held = tables.parameters(calibration)
     costly, harmless = tables.directions(calibration)
     context = {
@@ -314,7 +313,7 @@ def report_page(
         "verdict_lines": verdict_lines(calibration, verdict),
         "image": image_words(calibration, verdict),
         "figures": _figures(calibration),
-        "measured": [measured(touches, planes) for touches in each],
+        "measured": [measured(touches, geometry(calibration.fit, calibration.used_x)["planes"]) for touches in each],
         "residuals": tables.residuals(calibration),
         "left_out": tables.left_out(calibration),
         "noise": noise,

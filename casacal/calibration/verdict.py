@@ -16,6 +16,7 @@ from casacal.calibration.motion import tip_extremes
 from casacal.calibration.numbers import SCALE, TOOL, without_its_likes
 from casacal.deployment.result import Verdict
 from casacal.effects.selection import at_most, errors_are_shared
+from casacal.effects.trusted import COVERED
 from casacal.fit.bound_problem import BoundProblem
 from casacal.fit.methods import minimises
 from casacal.uncertainty.moves import prior_scatter
@@ -283,9 +284,6 @@ def _effects_left_out(calibration: Calibration) -> Doubt | None:
         f"The problem declares {words}, which a robust loss, some methods and --discrepancy none leave out: no figure "
         "counts them, and nothing corrects them.",
     )
-
-
-COVERED = 3.0  # standard deviations of a constant up to which its prior is what covers an error of it
 
 
 def _dial_is_off(calibration: Calibration) -> Doubt | None:

@@ -19,6 +19,7 @@ from casacal.model.problem import Problem
 from casacal.model.term import Here, Site
 from casacal.model.unknown import Parameter
 from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
+from casacal.values import Array
 from casacal.wording import sized
 
 
@@ -43,7 +44,8 @@ class TrustedConstants(Effect):
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """Errors in standard deviations, by the name of each constant; a direction has two."""
-        labels = [f"_{name}" for name, _, count in _constants(site) for name in _numbered(name, count)]
+        constants = site.instrument.trusted.items()
+        labels = [f"_{name}" for name, each in constants for name in _numbered(name, each.count)]
         if not labels:
             return {}
         return {self.key: Parameter([0.0] * len(labels), unit="1", prior_std=self.size, labels=labels)}
@@ -73,9 +75,9 @@ class TrustedConstants(Effect):
     def _errors(self, here: Here) -> list[tuple[Trusted, Expression]]:
         """Each constant with its errors, in standard deviations."""
         u, first, found = getattr(here.p, self.key), 0, []
-        for _, constant, count in _constants(here):
-            found.append((constant, u[first : first + count]))
-            first += count
+        for constant in here.instrument.trusted.values():
+            found.append((constant, u[first : first + constant.count]))
+            first += constant.count
         return found
 
 
@@ -89,17 +91,17 @@ def with_constants(problem: Problem) -> Problem:
     return problem.with_terms(*problem.terms, CONSTANTS)
 
 
-def _constants(site: Site) -> list[tuple[str, Trusted, int]]:
-    """Name, constant, and how many numbers it has."""
-    instrument = site.instrument
-    return [
-        (name, each, instrument.unknowns[each.shifts].freed().size if each.shifts else 1)
-        for name, each in instrument.trusted.items()
-    ]
-
-
 def _numbered(name: str, count: int) -> list[str]:
     return [name] if count == 1 else [f"{name}{i}" for i in range(1, count + 1)]
+
+
+COVERED = 3.0  # standard deviations of a constant up to which its prior is what covers an error of it
+
+
+def beyond(bound: BoundProblem, x: Array) -> bool:
+    """Whether a constant stands farther from what is stated, at x (n,), than its prior covers: that is a mistake."""
+    own = np.array([key == TrustedConstants.key for key in bound.beside], dtype=bool)
+    return bool((np.abs(x[own]) > COVERED * bound.prior_std[own]).any())
 
 
 @dataclass(frozen=True)
@@ -146,8 +148,8 @@ def leverages(fit: BoundProblem, result: Result) -> tuple[Leverage, ...]:
         moved[j] = each * np.array([fit.prior_std[j], math.sqrt(covariance[j, j])])
     found, columns = [], iter(constants)
     for i, instrument in enumerate(fit.problem.instruments):
-        for name, constant, count in _constants(Site(fit.problem.robot, instrument)):
-            whole, left = np.linalg.norm([moved[next(columns)] for _ in range(count)], axis=0)
+        for name, constant in instrument.trusted.items():
+            whole, left = np.linalg.norm([moved[next(columns)] for _ in range(constant.count)], axis=0)
             full = fit.problem.prefix(i) + name
             figures = float(whole), float(left)
             found.append(Leverage(full, constant.words, constant.std, constant.unit, *figures, constant.cure))

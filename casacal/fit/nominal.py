@@ -48,10 +48,13 @@ def row_columns(
 
 def surveys_of(problem: Problem, samples: Sequence[Samples], named: Mapping[str, Array]) -> tuple[Survey | None, ...]:
     """Survey of each instrument's rows for the terms that ask for one."""
-    if not problem.terms:
-        return (None,) * len(samples)
+    asked = [
+        any(term.columns(problem.symbols_of(i).site) for term in problem.terms) for i in range(len(problem.instruments))
+    ]
     return tuple(
         Survey.of(some, nominal_tips(problem, i, some, proposed_by(problem, i, named)), problem.instruments[i])
+        if asked[i]
+        else None
         for i, some in enumerate(samples)
     )
 

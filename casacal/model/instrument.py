@@ -98,7 +98,7 @@ class Trusted:
     """A constant that an instrument takes for exact, and how wrong it may well be.
 
     words: as people call it. std: standard deviation of its error, in `unit`. scales: columns that err in proportion,
-    with `std` in percent. shifts: key of a held unknown that stands elsewhere, a direction by two tilts. cure: what
+    with `std` in percent. shifts: key of a held unknown that stands elsewhere, by `count` numbers. cure: what
     would tell it, as a noun.
     """
 
@@ -107,6 +107,7 @@ class Trusted:
     unit: str
     scales: tuple[str, ...] = ()
     shifts: str = ""
+    count: int = 1
     cure: str = ""
 
 
@@ -121,7 +122,8 @@ def held_trusted(key: str, unknown: Unknown, words: str, std: float, *, cure: st
         return {}
     stated: Any = getattr(unknown, "prior_std", None)
     std = float(stated) if is_real(stated) and math.isfinite(stated) else std
-    return {key: Trusted(words=words, std=std, unit=unknown.freed().units[0], shifts=key, cure=cure)}
+    units = unknown.freed().units
+    return {key: Trusted(words=words, std=std, unit=units[0], shifts=key, count=len(units), cure=cure)}
 
 
 COORDINATE = "residual of each coordinate"

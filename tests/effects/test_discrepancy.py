@@ -221,7 +221,7 @@ def test_the_likelihood_of_sizes_is_that_of_the_dense_covariance(hsr, clean):
     zero = np.zeros(len(keys) + 1)
     for _ in range(3):
         logs = rng.normal(size=len(keys) + 1) * 0.5
-        given = (rows, bound.rows, np.diagonal(bound.prior_information), groups, expected, spread)
+        given = (rows, bound.rows, np.diagonal(bound.prior_information), None, groups, expected, spread)
         ours = _objective(logs, *given)[0] - _objective(zero, *given)[0]
         assert ours == pytest.approx(dense(logs) - dense(zero), rel=1e-5, abs=1e-4)
     slope = _objective(logs, *given)[1]
@@ -235,7 +235,7 @@ def test_the_likelihood_of_sizes_is_that_of_the_dense_covariance(hsr, clean):
     doubts = np.resize([2.5, 1.2, 10.0], len(keys))
     below = np.resize([6.0, 1.44, 10.0], len(keys))
     spread, expected = np.append(np.log(doubts), math.log(3.0)), np.append(np.zeros(len(keys)), 0.1)
-    hyper = (*given[:4], expected, spread)
+    hyper = (*given[:5], expected, spread)
     for sign in (-1, 1):
         logs = sign * rng.uniform(0.2, 0.9, len(keys) + 1)
         wide = np.append(np.log(below if sign < 0 else doubts), math.log(3.0))

@@ -59,7 +59,8 @@ def test_the_belief_is_what_least_squares_find(late):
     )
     gap = np.linalg.cholesky(same.jac.T @ same.jac).T @ (late.known.belief.mean - same.x)
     assert np.linalg.norm(gap) < 0.01, "standard deviations, in any direction"
-    assert (np.abs(late.belief.mean[here] - found.x[there]) < 0.05 * std).all()
+    near = np.where([name == "theta1" for name in arm], 0.1, 0.05)  # theta1 is the turn of the base
+    assert (np.abs(late.belief.mean[here] - found.x[there]) < near * std).all()
     assert (np.abs(late.belief.mean[here]) > 3 * std).any(), "touches told something"
     assert np.sqrt(np.diagonal(spread))[here] == pytest.approx(std, rel=0.03)
     assert late.tip_error == pytest.approx(expected_accuracy(bound, found.x)[1], rel=0.01)
