@@ -215,7 +215,7 @@ class Calibration(Value):
         """
         if TrustedConstants.key not in self.fit.beside or beyond(self.fit, self.result.x):
             return self.bare
-        return self.bare.under(with_constants(self.bare.problem))
+        return self.bare.under(with_constants(self.bare.problem), backend="blocks")  # nothing is worth compiling for it
 
     @cached_property
     def plain(self) -> Result:

@@ -27,7 +27,7 @@ from casacal.calibration.before_fit import (
     upside_down,
 )
 from casacal.calibration.faults import ALIKE, EXPLAINED, MOVED, SUSPICIOUS, MisfitCause, cause_of_rows, explained, flips
-from casacal.calibration.finding import Finding, misfit, quick_fit
+from casacal.calibration.finding import Finding, misfit, quick_fit, size_of
 from casacal.calibration.midway import changed_midway, labels_exchanged
 from casacal.calibration.mirror import mirror_image
 from casacal.calibration.numbers import tool_elsewhere_at, tool_keys, without_its_likes, wrong_number, wrong_scale
@@ -177,10 +177,10 @@ def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding
     bad, stray = off_their_face(bound, scatter)
     good = samples.take(np.flatnonzero(~bad)) if bad.any() else samples
     few = _few_of_each_face(problem, good)
-    doubting = quick_fit(with_constants(problem), few)
-    if doubting is not None and not beyond(doubting[0], doubting[1].x):  # else a mistake to find, such as a wrong scale
-        problem = with_constants(problem)
     base = misfit(problem, few)
+    if _constants_explain(problem, few, base):
+        problem = with_constants(problem)
+        base = misfit(problem, few)
     if base > SUSPICIOUS and bad.sum() > MOST_STRAY * len(samples):
         good, few = samples, _few_of_each_face(problem, samples)
         base = misfit(problem, few)
@@ -199,17 +199,28 @@ def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding
     findings += stray if base <= EXPLAINED else []  # else the other rows miss as well, and these are not the cause
     if base > SUSPICIOUS:
         return [_unexplained(problem, samples, base, findings), *findings]
-    quick = quick_fit(problem, few)
+    quick = quick_fit(with_constants(problem), few, backend="blocks")
     if quick is not None:
         fitted = quick[0], quick[1].x, quick[1].covariance
         findings += [*tool_elsewhere_at(*fitted), *wrong_scale(*fitted)]
-    rest = bind(problem, good)
+    rest = bind(with_constants(problem), good, backend="blocks")  # for few looks nothing is worth compiling
     findings += [*_invisible_flips(problem, few, base), *_rows(rest)]
     findings = _with_cause_of_rows(problem, samples, findings)
     if all(finding.severity != "error" for finding in findings):
         findings += effect_findings(drawn, few)
         findings += [] if confirmed else _image(rest)
     return findings
+
+
+def _constants_explain(problem: Problem, samples: Samples, base: float) -> bool:
+    """Whether constants that the instrument takes for exact may explain a misfit, each within what its prior covers.
+
+    One that would have to be farther off is a mistake to find, such as a wrong scale.
+    """
+    if base <= SUSPICIOUS or with_constants(problem) is problem:
+        return False
+    fitted = quick_fit(with_constants(problem), samples, backend="blocks")
+    return fitted is not None and size_of(*fitted) <= SUSPICIOUS and not beyond(fitted[0], fitted[1].x)
 
 
 def _with_cause_of_rows(problem: Problem, samples: Samples, findings: list[Finding]) -> list[Finding]:

@@ -85,12 +85,17 @@ class Fault:
 
 
 def quick_fit(
-    problem: Problem, samples: Samples | Measurements, *, steps: int = STEPS, start: Array | None = None
+    problem: Problem,
+    samples: Samples | Measurements,
+    *,
+    steps: int = STEPS,
+    start: Array | None = None,
+    backend: str | None = None,
 ) -> tuple[BoundProblem, Result] | None:
     """A robust fit in few steps; None where it cannot be bound or the figures overflow."""
     try:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            bound = bind(problem, *Measurements.of(samples).sets)
+            bound = bind(problem, *Measurements.of(samples).sets, backend=backend)
             result = lm(bound, start=start, loss=huber(), max_steps=steps)
     except CasacalError:
         return None
@@ -107,9 +112,11 @@ def misfit(
     no fit. Infinite if it fails.
     """
     fitted = quick_fit(problem, samples, steps=steps, start=start)
-    if fitted is None:
-        return math.inf
-    bound, result = fitted
+    return math.inf if fitted is None else size_of(*fitted)
+
+
+def size_of(bound: BoundProblem, result: Result) -> float:
+    """The size of a quick robust fit, as `misfit` has it."""
     squares = np.sort(bound.residual(result.x) ** 2)[: math.ceil(KEPT * bound.rows)]
     size = math.sqrt(float(squares.mean()) / OF_NORMAL + 2 * bound.prior_cost(result.x) / bound.rows)
     return size if math.isfinite(size) else math.inf

@@ -207,10 +207,11 @@ class BoundProblem(LeastSquares):
         count = len(self.measured)
         return self if count <= most else self.take(np.unique(np.linspace(0, count - 1, most).astype(int)))
 
-    def under(self, problem: Problem) -> BoundProblem:
+    def under(self, problem: Problem, *, backend: str | None = None) -> BoundProblem:
         """The rows and nominal values bound to another problem of the same geometry, such as one with other terms."""
         slots = make_slots(problem, self.samples, {slot.name: slot.nominal for slot in self.slots})
-        return BoundProblem(problem, slots, self.samples, self._backend, self._threads, self.scale, known=self.known)
+        backend = backend or self._backend
+        return BoundProblem(problem, slots, self.samples, backend, self._threads, self.scale, known=self.known)
 
     def with_known(self, known: Gaussian) -> BoundProblem:
         """The problem with a joint Gaussian prior on some unknowns, by name, in place of their own priors."""
