@@ -60,7 +60,7 @@ from casacal.uncertainty.tip_error import (
     workspace_joints,
 )
 from casacal.values import Array, FrozenMapping, Value
-from casacal.wording import listed, mm
+from casacal.wording import listed
 
 if TYPE_CHECKING:
     from casacal.calibration.earlier import EarlierResult
@@ -270,8 +270,7 @@ class Calibration(Value):
         known = {each.words for each in self.leverages}  # with priors of their own
         trusted = [each.words.trusted for each in self.fit.problem.instruments if each.words.trusted not in known]
         telling = self.telling_constant
-        within = [f"{telling.within} ({mm(telling.left_mm)} of this; {telling.cure} would tell)"] if telling else []
-        names = [noise, "priors", *dict.fromkeys(filter(None, trusted)), *within]
+        names = [noise, "priors", *dict.fromkeys(filter(None, trusted)), *([telling.within] if telling else [])]
         return listed(names)
 
     @cached_property

@@ -270,7 +270,7 @@ def moved_to(calibration, far):
 def test_who_trusts_the_stated_noise_is_told_at_least(hsr):
     trusted = calibrate(hsr.problem, in_cell(hsr, repeatability=0.016), reference=False, noise="stated")
     assert "at least" in verdict_of(trusted).words
-    assert "if the stated noise, priors and the dial's gain within 0.15 % (" in verdict_of(trusted).words
+    assert "if the stated noise, priors and the dial's gain within 0.15 % are right" in verdict_of(trusted).words
 
 
 def test_a_set_up_that_leaves_places_unknown_is_used_with_care(hsr):
@@ -537,7 +537,7 @@ def test_long_paths_do_not_push_the_answer_off_the_screen(clean, reasons, width)
 def test_reasons_that_do_not_fit_are_counted(clean):
     sentence = "Something is not quite as it should be, and this sentence takes more than a line to say so."
     verdict = dataclasses.replace(verdict_of(clean), reasons=tuple(f"{k}. {sentence}" for k in range(12)))
-    for room in (10, 11, 12, 13, 14, 15, 16):
+    for room in (9, 10, 11, 12, 13, 14, 15):
         lines = brief(clean, verdict, width=80, room=room).splitlines()
         assert len(lines) <= room
         told = sum(line.startswith("- ") and "more with --verbose" not in line for line in lines)
@@ -651,8 +651,8 @@ def test_a_filter_within_its_own_spread_is_not_said_to_differ(clean, hsr, corner
 def test_what_is_expected_of_an_estimate_counts_its_way_to_the_minimum(hsr, method):
     """The posterior says 0.55 mm at any estimate; the true error of these is one to several millimetres."""
     told, true = [], []
-    for seed in range(4):
-        simulation = simulate(hsr.problem, hsr.cell, seed=seed)
+    for seed in range(12 if method == "ekf" else 4):  # what four arms say of a figure so near varies by a third
+        simulation = simulate(hsr.problem, dataclasses.replace(hsr.cell, dial_gain=0.0015), seed=seed)  # as is promised
         found = calibrate(hsr.problem, simulation.samples, method=method, reference=False)
         joints, tips, _ = found.workspace
         right = found.fit.tips(simulation.truth(found.fit), joints)
