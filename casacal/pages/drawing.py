@@ -126,7 +126,10 @@ def axes(panel: Panel, x_title: str, y_title: str, *, x_ticks: Ticks | None = No
             path(f"M{number(x)} {number(panel.top)}V{number(low)}", "grid")
         if x_ticks is None:
             path(f"M{number(x)} {number(low)}v5", "axis")
-        text(words, x, low + 18, "middle")
+        if len(words) > 3 and x > right - 4:  # a long number at the edge would leave the picture
+            text(words, WIDTH - 1, low + 18, "end")
+        else:
+            text(words, x, low + 18, "middle")
     path(f"M{number(left)} {number(low)}H{number(right)}", "axis")
     text(x_title, (left + right) / 2, panel.height - 6, "middle title")
     text(y_title, 4.0, 14.0, "title")
