@@ -22,6 +22,7 @@ from casacal.calibration.summary import summary
 from casacal.calibration.verdict import WithVerdict
 from casacal.deployment.arm import CalibratedArm
 from casacal.effects.selection import DialError, LeftOut
+from casacal.effects.trusted import Leverage
 from casacal.errors import CasacalError
 from casacal.files import jsonable, write_text
 from casacal.planning.cures import Cure
@@ -118,6 +119,12 @@ class Calibrated(WithVerdict, AsArm):
         """Whether rows show an undeclared error of the dial; at the tip it is NaN where the verdict denies figures."""
         found = self.unjudged.dial_errors
         return tuple(replace(each, tip_mm=math.nan) for each in found) if self.denied else found
+
+    @property
+    def leverages(self) -> tuple[Leverage, ...]:
+        """What trusted constants are worth at the tip; NaN where the verdict denies figures."""
+        found = self.unjudged.leverages
+        return tuple(replace(each, tip_mm=math.nan, left_mm=math.nan) for each in found) if self.denied else found
 
     @property
     def left_out(self) -> tuple[LeftOut, ...]:

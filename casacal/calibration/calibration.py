@@ -265,13 +265,16 @@ class Calibration(Value):
 
     @property
     def assumed(self) -> str:
-        """Assumptions of every accuracy figure, as a clause: noise, priors, and what readings cannot check."""
+        """Assumptions of every accuracy figure, as a clause: noise, priors, and what readings cannot check.
+
+        A constant with a prior of its own is among them where half of the tip error comes from it.
+        """
         noise = "noise as found" if self.noise.scale else "the stated noise"
-        known = {each.words for each in self.leverages}  # with priors of their own
+        found, (_, tip) = self.unjudged.leverages, self.unjudged.tip_std
+        known = {each.words for each in found}
         trusted = [each.words.trusted for each in self.fit.problem.instruments if each.words.trusted not in known]
-        telling = self.telling_constant
-        names = [noise, "priors", *dict.fromkeys(filter(None, trusted)), *([telling.within] if telling else [])]
-        return listed(names)
+        telling = [each.within for each in found[:1] if each.left_mm > PART * tip]
+        return listed([noise, "priors", *dict.fromkeys(filter(None, trusted)), *telling])
 
     @cached_property
     def used_x(self) -> Array:
@@ -541,12 +544,6 @@ class Calibration(Value):
     def leverages(self) -> tuple[Leverage, ...]:
         """What each constant that the instruments take for exact is worth at the tip; none under geometry alone."""
         return leverages(self.fit, self.result)
-
-    @property
-    def telling_constant(self) -> Leverage | None:
-        """The trusted constant from which at least half of the tip error to expect comes; None where none does."""
-        most = next(iter(self.leverages), None)
-        return most if most is not None and most.left_mm > PART * self.unjudged.tip_std[1] else None
 
     @cached_property
     def prior_moves(self) -> PriorMoves:

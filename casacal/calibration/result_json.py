@@ -51,10 +51,7 @@ def calibration_document(
                 {**parts.picked(error, "key", "words", "chance", "size", "unit"), "shown": error.shown}
                 for error in calibration.dial_errors
             ],
-            "trusted_constants": [
-                {**asdict(each), **({"tip_mm": None, "left_mm": None} if calibration.denied else {})}
-                for each in calibration.leverages
-            ],
+            "trusted_constants": [asdict(each) for each in calibration.leverages],
             "correlations": [{"names": [one, two], "value": value} for one, two, value in pairs],
             "warnings": warnings(calibration.unjudged),
             "prior_moves": asdict(calibration.prior_moves),

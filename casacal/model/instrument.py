@@ -425,6 +425,32 @@ def check_declaration(instrument: object) -> None:
     for key, unknown in instrument.unknowns.items():
         if not isinstance(unknown, Unknown):
             raise ProblemError(f"Unknown '{key}' of {name} is {came(unknown)}", "Make it a Parameter or its like")
+    for key, constant in instrument.trusted.items():
+        _check_trusted(instrument, f"The trusted constant '{key}' of {name}", constant)
+
+
+def _check_trusted(instrument: Instrument, what: str, constant: object) -> None:
+    """Raise ProblemError for what is no constant, or shifts and scales what is not there to be shifted or scaled."""
+    if not isinstance(constant, Trusted):
+        raise ProblemError(f"{what} is {came(constant)}", "Make it a Trusted")
+    if not is_real(constant.std) or not 0 < constant.std < math.inf:
+        raise ProblemError(f"{what} has the standard deviation {constant.std!r}", "Give a positive number")
+    columns = [*instrument.columns, *instrument.known_columns]
+    if strange := [column for column in constant.scales if column not in columns]:
+        raise ProblemError(f"{what} scales '{strange[0]}', which is no column", f"Its columns: {', '.join(columns)}")
+    if bool(constant.scales) == bool(constant.shifts):
+        fix = "Name the columns that it scales, or the unknown that it shifts"
+        raise ProblemError(f"{what} scales and shifts {'two things' if constant.scales else 'nothing'}", fix)
+    if not constant.shifts:
+        return
+    unknown = instrument.unknowns.get(constant.shifts)
+    if unknown is None or unknown.size or unknown.nominal is None:
+        known = "is no unknown" if unknown is None else "is not held at a value"
+        fix = "Name an unknown that is declared with free=False; what is free has its own prior"
+        raise ProblemError(f"{what} shifts '{constant.shifts}', which {known}", fix)
+    if unknown.freed().size != constant.count:
+        fix = f"Give count={unknown.freed().size}"
+        raise ProblemError(f"{what} shifts {constant.count} numbers of '{constant.shifts}'", fix)
 
 
 def with_unknown(instrument: Instrument, key: str, unknown: Unknown) -> Instrument:

@@ -170,7 +170,7 @@ def test_nor_does_any_attribute(denied):
 
 WITHHELD = {
     *("passed", "std", "tip_std", "flange_std", "tip_std_without_prior", "tip_from_minimum", "covariance", "cures"),
-    *("identifiability", "left_out", "sensitivity", "motion", "dial_errors"),
+    *("identifiability", "left_out", "sensitivity", "motion", "dial_errors", "leverages"),
 }
 
 
@@ -193,6 +193,8 @@ def test_nor_does_the_object(denied):
     with pytest.raises(CasacalError, match="no standard deviations"):
         found.predict(np.zeros(4), std=True, force=True)
     assert all(np.isnan(error.tip_mm) for error in found.dial_errors)
+    assert found.leverages
+    assert all(np.isnan([each.tip_mm, each.left_mm]).all() for each in found.leverages)
     assert "do not use" in repr(found.arm)
     whole = found.to_dict()
     assert whole["tip"] is None

@@ -2,7 +2,9 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping
 
+import casadi as ca
 import numpy as np
 import pytest
 from conftest import ROOT
@@ -10,6 +12,7 @@ from conftest import ROOT
 from casacal import (
     DialOnPlane,
     Direction,
+    Instrument,
     Parameter,
     Problem,
     SphereTouch,
@@ -22,8 +25,12 @@ from casacal.calibration.result_json import calibration_document
 from casacal.calibration.verdict import verdict_of
 from casacal.deployment.result_file import check_document
 from casacal.effects.trusted import CONSTANTS, with_constants
+from casacal.errors import ProblemError
 from casacal.files import jsonable
+from casacal.model import Trusted
+from casacal.model.kinematics import position
 from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
+from casacal.values import FrozenMapping
 
 UR5 = ROOT / "problems" / "ur5"
 
@@ -128,6 +135,71 @@ def test_a_result_keeps_them(hsr, tmp_path):
     found.report(tmp_path / "report.html")
     assert 'id="constants"' in (tmp_path / "report.html").read_text(encoding="utf-8")
     assert calibration_document(calibrate(hsr, found.samples, discrepancy="none"))["trusted_constants"] == []
+
+
+@dataclasses.dataclass(frozen=True)
+class Wire(Instrument):
+    """A draw wire of one's own, from a post that a survey knows, and what it takes for exact."""
+
+    said: Mapping[str, object] = dataclasses.field(default_factory=dict)
+    post: Parameter = Parameter((1500.0, 0.0, 200.0), prior_std=2.0, free=False)
+
+    columns = FrozenMapping({"wire": "length"})
+    column_stds = FrozenMapping({"wire": 0.05})
+
+    @property
+    def unknowns(self):
+        return {"post": self.post}
+
+    @property
+    def trusted(self):
+        return self.said
+
+    def residual(self, pose, p, row):
+        return ca.norm_2(position(pose) - p.post) - row.wire
+
+
+def taken(**said):
+    """A constant with what is said of it, else as it should be."""
+    return Trusted(**{"words": "the wire", "std": 0.05, "unit": "%", **said})
+
+
+POST = taken(words="the post", std=2.0, unit="mm", shifts="post", count=3)
+
+
+def test_an_instrument_of_ones_own_says_what_it_trusts(hsr):
+    """A post 6 mm elsewhere under a prior of 2 mm: within the promise where it is doubted, beyond it where not."""
+    true = Problem(hsr.problem.robot, Wire(post=Parameter((1505.0, -3.0, 202.0), free=False)))
+    made, ratios = simulate(true, samples=150, seed=1), []
+    for said in ({"post": POST}, {}):
+        found = calibrate(Problem(hsr.problem.robot, Wire(said)), made.samples, reference=False)
+        ratios.append(tip_error(found, made) / found.unjudged.tip_std[1])
+        assert [each.name for each in found.leverages] == list(said)
+    assert ratios[0] < 2 < ratios[1]
+
+
+@pytest.mark.parametrize(
+    ("constant", "sentence"),
+    [
+        (taken(scales=("wires",)), "scales 'wires', which is no column"),
+        (taken(), "scales and shifts nothing"),
+        (taken(scales=("wire",), shifts="post"), "scales and shifts two things"),
+        (taken(shifts="pole"), "shifts 'pole', which is no unknown"),
+        (taken(shifts="post"), "shifts 1 numbers of 'post'. Give count=3"),
+        (taken(scales=("wire",), std=0.0), "standard deviation 0.0"),
+        (taken(scales=("wire",), std=math.nan), "standard deviation nan"),
+        (taken(scales=("wire",), std="much"), "standard deviation 'much'"),
+        (0.1, "is a float"),
+    ],
+)
+def test_what_cannot_be_doubted_is_said(hsr, constant, sentence):
+    with pytest.raises(ProblemError, match=sentence):
+        Problem(hsr.problem.robot, Wire({"scale": constant}))
+
+
+def test_what_is_free_has_a_prior_of_its_own(hsr):
+    with pytest.raises(ProblemError, match="shifts 'post', which is not held at a value"):
+        Problem(hsr.problem.robot, Wire({"post": POST}, Parameter((1500.0, 0.0, 200.0), prior_std=2.0)))
 
 
 def bowed(made, source, height):
