@@ -58,7 +58,7 @@ class Survey:
         """Survey of samples with nominal tips (N, 3; mm) on an instrument's faces; a step lies in its face's frame."""
         rows = samples.faces(instrument.groups).rows()
         on = {name: instrument.instance("", name) for name in rows}
-        own = {name: FaceFrame.of(tips[rows[name]]) for name in rows if on[name] == name and len(rows[name]) >= FEWEST}
+        own = {name: FaceFrame.of(tips[rows[name]]) for name in rows if len(rows[name]) >= FEWEST}
         faces = {name: own[on[name]] for name in rows if on[name] in own}
         some = np.unique(np.linspace(0, len(samples) - 1, MANY).astype(int))
         order = np.sort(np.asarray(samples.lines))[some]

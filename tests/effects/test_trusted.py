@@ -97,6 +97,22 @@ def test_what_it_is_worth_is_what_a_wrong_one_does(hsr):
     assert doubting.leverages[0].tip_mm == pytest.approx(moved, rel=0.2)
 
 
+def test_leverage_is_the_shift_of_a_fit_that_knows_no_constant(hsr):
+    """H (J'J + Lambda)^-1 J' dr/du std over the unknowns that are no constants, from Jacobian and prior alone."""
+    found = calibrate(hsr, simulate(hsr.problem, hsr.cell, samples=120, seed=1).samples, reference=False)
+    fit, x = found.fit, found.result.x
+    ours = np.array([key == CONSTANTS.key for key in fit.beside])
+    jacobian, joints = fit.jacobian(x), workspace_joints(fit.problem.robot)
+    field = without_rigid(fit.tip_jacobian(x, joints), fit.tips(x, joints))[..., ~ours]
+    rest = jacobian[:, ~ours]
+    normal = rest.T @ rest + fit.prior_information[np.ix_(~ours, ~ours)]
+    shifts = np.linalg.solve(normal, rest.T @ jacobian[:, ours]) * fit.prior_std[ours]
+    names = np.array(fit.names)[ours]
+    for each in found.leverages:
+        moved = [tip_rms(field @ shift) for name, shift in zip(names, shifts.T, strict=True) if each.name in name]
+        assert each.tip_mm == pytest.approx(np.linalg.norm(moved), rel=1e-3)
+
+
 def test_what_is_declared_is_not_doubted_twice(hsr):
     dial = hsr.problem.instrument
     declared = dataclasses.replace(dial, gain=dial_gain(0.05), plunger=Direction((0, 0, 1), prior_std=0.01))
