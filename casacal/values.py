@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from types import SimpleNamespace
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -54,6 +55,13 @@ class FrozenMapping(Mapping[K, V]):
 
 
 EMPTY: FrozenMapping[Any, Any] = FrozenMapping({})
+
+
+class Names(SimpleNamespace):
+    """Values by attribute, as p of `pose(p, q)` and row of `residual`; AttributeError lists the names that exist."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise AttributeError(f"there is no '{name}', but {', '.join(vars(self)) or 'nothing at all'}")
 
 
 class Value:

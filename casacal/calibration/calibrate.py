@@ -39,6 +39,7 @@ from casacal.linalg import right_directions
 from casacal.model.problem import Problem
 from casacal.model.problem_file import ProblemFile
 from casacal.uncertainty.noise import found_noise
+from casacal.values import Array
 from casacal.wording import counted, listed
 
 if TYPE_CHECKING:
@@ -139,6 +140,34 @@ def calibrate(
     seconds = {"build": built - began, "solve": solved - built, "total": time.perf_counter() - began}
     found = (name, seed, rows, fit, heldout, result, before, checked, seconds, source, aside, holdout_by, tried, bare)
     return Calibrated(*found, None if since is None else since.result)
+
+
+def calibration_of(
+    bound: BoundProblem, x: Result | Array, *, method: str = "own", reference: bool | str = True
+) -> Calibrated:
+    """The answer of a program of one's own as a calibration: judged, reported and exported as any other.
+
+    What the rows state is taken as it stands: noise, all rows, no effects but those of the problem. The error to expect
+    is the posterior's there and, on top of it, the way from the answer to the minimum.
+
+    Args:
+        bound: rows as `bind` joins them to a problem.
+        x: estimate (n,) of its unknowns, mm and rad, or a `Result`.
+        method: what the program is called.
+        reference: as for `calibrate`.
+
+    Raises CasacalError for what is none of these.
+
+    """
+    if not isinstance(bound, BoundProblem):
+        raise CasacalError(f"Got {came(bound)} as the bound problem", "Give what bind(problem, samples) returns")
+    began, solver = time.perf_counter(), _reference(reference)
+    result = estimate(lambda _: x, method, bound, 0, None, None)
+    checked = _check(bound, method, result, solver) if solver else None
+    tried, source, sets = tried_corrections(bound, result), problem_from(bound.problem), bound.measured.sets
+    seconds = {"build": 0.0, "solve": 0.0, "total": time.perf_counter() - began}
+    rows = sets[0] if len(sets) == 1 else bound.measured
+    return Calibrated(method, 0, rows, bound, None, result, plane_only(bound), checked, seconds, source, tried=tried)
 
 
 def _from_drawing(

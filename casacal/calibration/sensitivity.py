@@ -27,10 +27,10 @@ MOST_ROWS = 5_000  # whose exact Hessian takes a few seconds
 class Sensitivity(Value):
     """Derivatives of the estimate x (n), mm and rad, and what they do to the tip over the workspace.
 
-    names: of the unknowns. readings: line and column of each number (k) of a row beside the joint values. by_reading:
-    dx/dy (n, k), by the columns' units. by_prior: dx/dx0 (n, n), column j by the prior's mean of unknown j. rows: line
-    of each row (N). tip_by_row (N), tip_by_prior (n): how far the tip moves, mm RMS over the workspace apart from the
-    base's position, where all of a row, or a prior's mean, errs by one standard deviation.
+    names: of the unknowns. readings: line and column of each number (k) of a row beside the joint values, as in the
+    file. by_reading: dx/dy (n, k), by the columns' units. by_prior: dx/dx0 (n, n), column j by the prior's mean of
+    unknown j. rows: line of each row (N). tip_by_row (N), tip_by_prior (n): how far the tip moves, mm RMS over the
+    workspace apart from the base's position, where all of a row, or a prior's mean, errs by one standard deviation.
     """
 
     names: tuple[str, ...]
@@ -86,20 +86,21 @@ def sensitivity(fit: BoundProblem, result: Result, tip: Array) -> Sensitivity:
     root = scale * (vectors if basis is None else basis @ vectors)[:, held]
     inverse = (root / values[held]) @ root.T
     squares = inverse @ (tip.T @ tip) @ inverse / (len(tip) / 3)  # of the tip by gradients
-    readings, by_reading = list[tuple[int | str, str]](), []
+    readings, by_reading = list[tuple[int, str]](), []
     tips = np.zeros(len(fit.measured))
     for kind, (slopes, changes) in zip(kinds, found, strict=True):
         places = int(starts[kind.instrument]) + kind.samples
         block = squares[np.ix_(kind.columns, kind.columns)]
         tips[places] = np.sqrt(np.maximum(np.einsum("kmi,ij,kmj->k", slopes, block, slopes), 0.0))
-        readings += [(fit.measured.place(int(k)), name) for k in places for name in models[kind.instrument][1]]
+        readings += [(int(k), name) for k in places for name in models[kind.instrument][1]]
         by_reading.append(-inverse[:, kind.columns] @ changes)
+    in_file = np.argsort([k for k, _ in readings], kind="stable")
     pull, held = fit.prior_information, np.diagonal(fit.prior_information)
     std = np.where(held > 0, 1 / np.sqrt(np.where(held > 0, held, 1.0)), 0.0)  # of each, were the others known
     return Sensitivity(
         fit.names,
-        tuple(readings),
-        np.concatenate(by_reading, axis=1),
+        tuple((fit.measured.place(readings[j][0]), readings[j][1]) for j in in_file),
+        np.concatenate(by_reading, axis=1)[:, in_file],
         inverse @ pull,
         tuple(fit.measured.place(k) for k in range(len(fit.measured))),
         tips,

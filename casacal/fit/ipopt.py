@@ -5,6 +5,7 @@ First the objective over raw coordinates that the solver asks about, with exact 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
@@ -182,7 +183,9 @@ def nlpsol(
             )
             solution = made(x0=np.zeros(start.size), lbg=graph.low, ubg=graph.high)
         except (RuntimeError, NotImplementedError) as error:
+            option = re.search(r"cpp:\d+: (.*\boption\b.*)", str(error), re.IGNORECASE)  # which it does not know
             said = next(iter(str(error).rpartition("failed:")[2].strip().splitlines()), "").rstrip(" :.")
+            said = said if option is None else option[1]
             fix = "Give it other options, or use ipopt, fatrop or sqpmethod"
             raise CasacalError(f"The solver '{solver}' does not take this program: {said}", fix) from error
         del kept  # CasADi calls these but does not hold them

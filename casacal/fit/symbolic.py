@@ -30,7 +30,7 @@ from casacal.fit.slots import Slot
 from casacal.kernels.filter_passes import Cubature
 from casacal.model.kinematics import Expression
 from casacal.model.trace import RowModel
-from casacal.values import Array, Index
+from casacal.values import Array, Index, read_only
 
 PIECE = 256  # rows mapped together: what derivatives hold at a time
 
@@ -56,6 +56,15 @@ class RowKind:
     """d of each row (N, nd): rad, mm."""
     noise: Array
     """Standard deviation w of each residual (N, m)."""
+    at: int
+    """Position of their data in p: c, then d and w row by row."""
+
+    @property
+    def places(self) -> tuple[Index, Index, Index]:
+        """Positions in p of c (nc,), d (N, nd) and w (N, m)."""
+        c, d, w = len(self.constants), self.data.size, self.noise.size
+        every = self.at + np.arange(c + d + w)
+        return every[:c], every[c : c + d].reshape(self.data.shape), every[c + d :].reshape(self.noise.shape)
 
     @property
     def residuals(self) -> Index:
@@ -76,15 +85,19 @@ class SymbolicProblem:
         """Name and unit of each unknown."""
         self.x0, self.prior_std, self.start_std = problem.x0, problem.prior_std, problem.start_std
         """Mean and standard deviation of the prior (n,; infinite: flat), and a good scale of each unknown (n,)."""
-        self._prior_rows, self._slots, found, first = problem.prior_rows, tuple(slots), [], 0
+        self._prior_rows, self._slots, found, first, at = problem.prior_rows, tuple(slots), list[RowKind](), 0, 0
         for i, block in enumerate(blocks):
             for k, some in enumerate(block.slots):
                 rows, names = block.by_pattern[k], tuple(slot.name for slot in some)
                 constants, columns, noise = block.constants[k], block.columns[k], block.noise[rows]
-                found.append(RowKind(block.model, i, names, columns, constants, rows, first, block.rows(rows), noise))
+                data = block.rows(rows)
+                found.append(RowKind(block.model, i, names, columns, constants, rows, first, data, noise, at))
+                at += constants.size + data.size + noise.size
             first += block.noise.size
         self.kinds, self._rows = tuple(found), first
         """The rows, kind by kind."""
+        self.data = read_only(np.concatenate([np.r_[k.constants, k.data.ravel(), k.noise.ravel()] for k in found]))
+        """What the samples put into the rows, as one column p: constants, joint values and columns, noise."""
         self._pieces: dict[Any, ca.Function] = {}
 
     def __repr__(self) -> str:
@@ -97,6 +110,24 @@ class SymbolicProblem:
             raise ProblemError(f"There is no unknown '{name}'", f"There are: {', '.join(self.names)}")
         return self.names.index(name)
 
+    def data_index(self, name: str, instrument: int = 0) -> Index:
+        """Positions in p of a column of the samples, row by row (N,), of their "joints" (N, n) or "noise" (N, m).
+
+        Raises ProblemError where the instrument has no such column.
+        """
+        kinds = [kind for kind in self.kinds if kind.instrument == instrument]
+        columns = kinds[0].model.names if kinds else ()
+        if not kinds or name not in ("joints", "noise", *columns):
+            known = ", ".join(("joints", "noise", *columns))
+            raise ProblemError(f"There is no '{name}' of instrument {instrument + 1}", f"Known: {known}")
+        joints = kinds[0].data.shape[1] - len(columns)
+        found = dict[int, Index]()
+        for kind in kinds:
+            _, d, w = kind.places
+            chosen = w if name == "noise" else d[:, :joints] if name == "joints" else d[:, joints + columns.index(name)]
+            found.update(zip(kind.samples.tolist(), chosen, strict=True))
+        return np.array([found[k] for k in sorted(found)])
+
     def values(self, x: Any) -> dict[str, Expression]:
         """Value of every unknown at x, by name: a number, a vector, a 4x4 frame or a plane.
 
@@ -105,25 +136,37 @@ class SymbolicProblem:
         x = self._checked(x)
         return {s.name: s.unknown.at(ca.DM(s.nominal), x[s.first : s.first + s.unknown.size]) for s in self._slots}
 
-    def residual(self, x: Any) -> Expression:
-        """Whitened residuals (rows,) of all rows, in the order of `BoundProblem.residual`."""
-        return self.residual_function(self._checked(x))
+    def residual(self, x: Any, p: Any = None) -> Expression:
+        """Whitened residuals (rows,) of all rows, in the order of `BoundProblem.residual`.
+
+        p: other data in the place of `data` (np,), such as `opti.parameter(rows.data.size)`; of what length each is,
+        `data_index` says.
+        """
+        return self.residual_function(self._checked(x)) if p is None else self.residual_of_data(*self._checked(x, p))
 
     def prior(self, x: Any) -> Expression:
         """The prior's part of the objective: 1/2 |W (x - x0)|^2, W the whitened rows of the prior."""
         return ca.sumsqr(ca.mtimes(ca.sparsify(ca.DM(self._prior_rows)), self._checked(x) - ca.DM(self.x0))) / 2
 
-    def objective(self, x: Any) -> Expression:
-        """The objective f that all estimators minimise: half the sum of squares of `residual`, plus `prior`."""
-        return self.cost_function(self._checked(x)) + self.prior(x)
+    def objective(self, x: Any, p: Any = None) -> Expression:
+        """The objective f that all estimators minimise: half the sum of squares of `residual`, plus `prior`.
+
+        p: as for `residual`.
+        """
+        cost = self.cost_function(self._checked(x)) if p is None else self.cost_of_data(*self._checked(x, p))
+        return cost + self.prior(x)
 
     @cached_property
     def residual_function(self) -> ca.Function:
         """x -> whitened residuals (rows)."""
         x = self._x
-        order = np.argsort(np.concatenate([kind.residuals for kind in self.kinds]))
-        parts = [ca.vec(part) for kind in self.kinds for part in self._mapped(kind, x, self._residuals)]
-        return ca.Function("residual", [x], [ca.vertcat(*parts)[order.tolist()]], ["x"], ["residual"])
+        return ca.Function("residual", [x], [self._in_order(x)], ["x"], ["residual"])
+
+    @cached_property
+    def residual_of_data(self) -> ca.Function:
+        """(x, p) -> whitened residuals (rows), with the data as parameters."""
+        x, p = self._x, self._p
+        return ca.Function("residual_of_data", [x, p], [self._in_order(x, p)], ["x", "p"], ["residual"])
 
     @cached_property
     def cost_function(self) -> ca.Function:
@@ -131,6 +174,13 @@ class SymbolicProblem:
         x = self._x
         parts = [part for kind in self.kinds for part in self._mapped(kind, x, self._cost)]
         return ca.Function("cost", [x], [sum(parts, ca.MX(0))], ["x"], ["cost"])
+
+    @cached_property
+    def cost_of_data(self) -> ca.Function:
+        """(x, p) -> half the sum of squares of the whitened residuals, with the data as parameters."""
+        x, p = self._x, self._p
+        parts = [part for kind in self.kinds for part in self._mapped(kind, x, self._cost, p)]
+        return ca.Function("cost_of_data", [x, p], [sum(parts, ca.MX(0))], ["x", "p"], ["cost"])
 
     @cached_property
     def normal(self) -> ca.Function:
@@ -195,18 +245,37 @@ class SymbolicProblem:
     def _x(self) -> ca.MX:
         return ca.MX.sym("x", len(self.names))
 
-    def _checked(self, x: Any) -> Any:
-        column = x if isinstance(x, (ca.SX, ca.MX, ca.DM)) else ca.DM(np.asarray(x, dtype=np.float64))
-        if column.shape != (len(self.names), 1):
-            raise ProblemError(f"x has the shape {column.shape}", f"It must be a column of {len(self.names)} unknowns")
-        return column
+    @property
+    def _p(self) -> ca.MX:
+        return ca.MX.sym("p", self.data.size)
 
-    def _mapped(self, kind: RowKind, x: ca.MX, build: Any) -> list[ca.MX]:
-        """Result of `build` for each piece of the rows of a kind, at x; pieces of one size share a function."""
-        z, c = x[kind.columns.tolist()], ca.DM(kind.constants)
-        made: list[ca.MX] = []
+    def _checked(self, *given: Any) -> Any:
+        """x, or x and p, as columns; ProblemError for another size."""
+        found = []
+        sizes = ("x", len(self.names), "unknowns"), ("p", self.data.size, "data")
+        for (name, size, what), each in zip(sizes, given, strict=False):
+            column = each if isinstance(each, (ca.SX, ca.MX, ca.DM)) else ca.DM(np.asarray(each, dtype=np.float64))
+            if column.shape != (size, 1):
+                raise ProblemError(f"{name} has the shape {column.shape}", f"It must be a column of {size} {what}")
+            found.append(column)
+        return found[0] if len(found) == 1 else found
+
+    def _in_order(self, x: ca.MX, p: ca.MX | None = None) -> ca.MX:
+        """Whitened residuals of all rows, as `BoundProblem.residual` has them."""
+        order = np.argsort(np.concatenate([kind.residuals for kind in self.kinds]))
+        parts = [ca.vec(part) for kind in self.kinds for part in self._mapped(kind, x, self._residuals, p)]
+        return ca.vertcat(*parts)[order.tolist()]
+
+    def _mapped(self, kind: RowKind, x: ca.MX, build: Any, p: ca.MX | None = None) -> list[ca.MX]:
+        """Result of `build` for each piece of the rows of a kind, at x and p; pieces of one size share a function."""
+        z, made = x[kind.columns.tolist()], list[ca.MX]()
+        row: Any = ca.DM(kind.constants), ca.DM(kind.data.T), ca.DM(kind.noise.T)
+        if p is not None:
+            row = [ca.reshape(p[k.ravel().tolist()], each.shape) for k, each in zip(kind.places, row, strict=True)]
+        c, d, w = row
         for first in range(0, len(kind.samples), PIECE):
-            inputs: list[Any] = [z, c, *(ca.DM(each[first : first + PIECE].T) for each in (kind.data, kind.noise))]
+            last = min(first + PIECE, len(kind.samples))
+            inputs: list[Any] = [z, c, *(each[:, first:last] for each in (d, w))]
             key = (build, kind.instrument, inputs[2].shape[1])
             if key not in self._pieces:
                 symbols = [ca.MX.sym(name, *each.shape) for name, each in zip("zcdw", inputs, strict=True)]

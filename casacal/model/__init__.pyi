@@ -16,3 +16,4 @@ from casacal.model.instrument import Trusted as Trusted
 from casacal.model.instrument import Words as Words
 from casacal.model.problem_file import ProblemFile as ProblemFile
 from casacal.model.symbols import Symbols as Symbols
+from casacal.model.unknown import Unknown as Unknown

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -16,7 +15,7 @@ from casacal.model.joints import Joint
 from casacal.model.kinematics import Expression, chain, position, rigid, rotation, screw, slide
 from casacal.model.robot import PoseFunction, Robot
 from casacal.model.unknown import PRIOR_STD, Parameter
-from casacal.values import is_real
+from casacal.values import Names, is_real
 
 CARRIER = "carrier_"  # prefix of the carrier's parameters
 LEAST_TRAVEL, MOST_TRAVEL = 50.0, 1e6  # travel of a rail, mm: what is shorter was meant in metres
@@ -135,7 +134,7 @@ class Carried:
 
     def __call__(self, p: Any, q: Expression) -> Expression:
         """The arm's flange (4x4, mm) in the base frame of the carrier."""
-        theirs = SimpleNamespace(**{key: getattr(p, self.before + key) for key in self.keys})
+        theirs = Names(**{key: getattr(p, self.before + key) for key in self.keys})
         return chain(self.by(theirs, q[: self.count]), self.arm(p, q[self.count :]))
 
 
@@ -180,7 +179,7 @@ class Facing:
 
     def __call__(self, p: Any, q: Expression) -> Expression:
         """The first arm's flange (4x4, mm) as the other's flange sees it."""
-        theirs = SimpleNamespace(**{key: getattr(p, OTHER + key) for key in self.keys})
+        theirs = Names(**{key: getattr(p, OTHER + key) for key in self.keys})
         there = self.other(theirs, ca.vertcat(q[: self.shared], q[self.count :]))
         turn = rotation(there).T
         return chain(rigid(turn, -ca.mtimes(turn, position(there))), self.one(p, q[: self.count]))

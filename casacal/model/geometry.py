@@ -340,6 +340,29 @@ class Frame(Whole):
     parts = (("rx", "rad"), ("ry", "rad"), ("rz", "rad"), ("x", "mm"), ("y", "mm"), ("z", "mm"))
     unsaid = ("no matrix", "Say where it is")
 
+    @staticmethod
+    def of(
+        translation: Sequence[float],
+        rotation: Sequence[float] | Sequence[Sequence[float]] | None = None,
+        *,
+        prior_std: float | tuple[float, float] = math.inf,
+        free: bool = True,
+    ) -> Frame:
+        """A frame from its translation (3, mm) and rotation: a matrix (3, 3) or a rotation vector (3, rad).
+
+        Raises ProblemError for what is neither.
+        """
+        turn, matrix = np.asarray(np.zeros(3) if rotation is None else rotation, dtype=np.float64), np.eye(4)
+        if np.shape(translation) != (3,) or turn.shape not in ((3,), (3, 3)):
+            what = f"A translation of shape {np.shape(translation)} and a rotation of shape {turn.shape} came"
+            raise ProblemError(what, "Give three numbers of mm, and a 3x3 matrix or three numbers of rad")
+        if turn.shape == (3,):
+            half = float(np.linalg.norm(turn)) / 2
+            quaternion = np.append(math.cos(half), np.sinc(half / math.pi) * turn / 2)
+            turn = np.asarray(ca.DM(rotation_of_quaternion(ca.DM(quaternion))))
+        matrix[:3, :3], matrix[:3, 3] = turn, translation
+        return Frame(tuple(map(tuple, matrix.tolist())), prior_std=prior_std, free=free)
+
     @property
     def size(self) -> int:
         """Number of local coordinates: six, three when only its rotation is free, or none when held."""

@@ -7,12 +7,12 @@ Everything that depends on the kind of measurement is asked of the instrument, w
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import combinations
-from types import SimpleNamespace
 from typing import Any, TypeAlias, get_args
 
 import casadi as ca
@@ -24,7 +24,7 @@ from casacal.model.geometry import Plane, fitted_plane, packed_symbols
 from casacal.model.kinematics import Expression, Product, position, transform_point
 from casacal.model.unknown import Parameter, Unknown
 from casacal.user_code import Portable
-from casacal.values import Array, FrozenMapping, Rows, frozen, is_real
+from casacal.values import Array, FrozenMapping, Names, Rows, frozen, is_real
 
 
 @dataclass(frozen=True)
@@ -401,6 +401,9 @@ class Instrument(Portable, ABC):
         return None
 
 
+DECLARABLE = [name for name in vars(Instrument) if not name.startswith("_")]
+
+
 def check_declaration(instrument: object) -> None:
     """Raise ProblemError for what is no instrument, or says of itself what cannot be."""
     if isinstance(instrument, type) and issubclass(instrument, Instrument):
@@ -425,6 +428,11 @@ def check_declaration(instrument: object) -> None:
     for key, unknown in instrument.unknowns.items():
         if not isinstance(unknown, Unknown):
             raise ProblemError(f"Unknown '{key}' of {name} is {came(unknown)}", "Make it a Parameter or its like")
+    for own in {name for cls in type(instrument).__mro__ if not issubclass(Instrument, cls) for name in vars(cls)}:
+        for meant in [] if hasattr(Instrument, own) else difflib.get_close_matches(own, DECLARABLE, 1, 0.85):
+            raise ProblemError(
+                f"{name} has '{own}', which nobody asks for", f"Call it '{meant}', or else something else"
+            )
     for key, constant in instrument.trusted.items():
         _check_trusted(instrument, f"The trusted constant '{key}' of {name}", constant)
 
@@ -576,9 +584,9 @@ class TracedInstrument(Instrument):
         """Trace an instrument on a robot with these parameters; lets pass what its functions raise."""
         every = {**parameters, **instrument.unknowns}
         symbols, values = packed_symbols(every)
-        pose, p = ca.SX.sym("pose", 4, 4), SimpleNamespace(**values)
+        pose, p = ca.SX.sym("pose", 4, 4), Names(**values)
         columns = {name: ca.SX.sym(name) for name in (*instrument.columns, *instrument.known_columns)}
-        row = SimpleNamespace(**columns)
+        row = Names(**columns)
         plunger = instrument.plunger_direction(pose, p)
         written = instrument.residual(pose, p, row), instrument.tip(pose, p, row)
         built = (*written, ca.SX(0, 1) if plunger is None else plunger)

@@ -388,7 +388,8 @@ def _check_parts(robot: Any, instruments: Sequence[Any], terms: Sequence[Any]) -
             raise ProblemError(f"Robot and {name} both name '{both[0]}'", "Rename one of them")
         noisy = noisy_joints or instrument.blocks or any(std > 0 for std in instrument.column_stds.values())
         if instrument.residual_std <= 0 and not noisy:
-            raise ProblemError(f"{name} declares no noise", "Give the standard deviation of its measurements")
+            fix = "Give it a residual_std, or column_stds of what it reads: standard deviations"
+            raise ProblemError(f"{name} declares no noise", fix)
 
 
 def _shared_by(shared: Any, instruments: Mapping[str, Instrument]) -> Shared:

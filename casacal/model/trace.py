@@ -6,7 +6,6 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -22,7 +21,7 @@ from casacal.model.robot import Robot
 from casacal.model.term import Here, Site, Term
 from casacal.model.traced_pose import traced
 from casacal.model.unknown import Unknown
-from casacal.values import FrozenMapping, Value
+from casacal.values import FrozenMapping, Names, Value
 
 
 @dataclass(frozen=True)
@@ -111,9 +110,9 @@ class Trace(Value):
         return ca.vertcat(self.q, *self.columns.values())
 
     @cached_property
-    def p(self) -> SimpleNamespace:
+    def p(self) -> Names:
         """Values by name at z and c, as `pose` and `residual` take them: numbers, vectors, 4x4 frames, planes."""
-        return SimpleNamespace(**{k: u.at(self.nominals[k], self.local[k]) for k, u in self.unknowns.items()})
+        return Names(**{k: u.at(self.nominals[k], self.local[k]) for k, u in self.unknowns.items()})
 
     @cached_property
     def seen(self) -> RowExpressions:
@@ -123,7 +122,7 @@ class Trace(Value):
     def at(self, values: Mapping[str, Any]) -> RowExpressions:
         """The graphs rebuilt for other parameter values p."""
         robot, instrument, columns, q = self.robot, self.instrument, self.columns, self.q
-        p, row, kind = SimpleNamespace(**values), SimpleNamespace(**columns), type(instrument).__name__
+        p, row, kind = Names(**values), Names(**columns), type(instrument).__name__
         pose = robot.flange(p, q)
         here = Here(robot, instrument, p, q, pose, row)
         if self.acting:
@@ -207,7 +206,7 @@ class Trace(Value):
         return symbols, self.at({key: self.unknowns[key].unpacked(symbol) for key, symbol in symbols.items()})
 
 
-def _with_terms(here: Here, terms: Sequence[Term]) -> tuple[Expression, SimpleNamespace]:
+def _with_terms(here: Here, terms: Sequence[Term]) -> tuple[Expression, Names]:
     """Flange pose and row as they truly are, where joints, flange and readings err."""
     off = [traced(term.joints, "joints", term.words, None, here, optional=True) for term in terms]
     moved = [each for each in off if each.numel() == len(here.robot.axes)]
@@ -220,7 +219,7 @@ def _with_terms(here: Here, terms: Sequence[Term]) -> tuple[Expression, SimpleNa
             here = replace(here, pose=changed)
         for name, error in term.reading(here).items():
             read[name] = read[name] + error
-    return here.pose, SimpleNamespace(**read)
+    return here.pose, Names(**read)
 
 
 def _in_its_unit(instrument: Instrument, residual: Expression, found: ca.SX, words: str) -> Any:
@@ -316,7 +315,7 @@ class RowModel:
         return {}
 
     @cached_property
-    def columns(self) -> SimpleNamespace:
+    def columns(self) -> Names:
         """Noise, tip, pose and plunger of many rows at one (z, c), each as a `Columnwise`."""
         return self._each("noise joint_noise tip pose plunger", Columnwise)
 
@@ -326,13 +325,13 @@ class RowModel:
         return CurvatureKernel(self.raw_residual, linear=self.linear)
 
     @cached_property
-    def batch(self) -> SimpleNamespace:
+    def batch(self) -> Names:
         """Functions of rows that differ in z and c too, each as a `Batch`."""
         return self._each("residual jacobian noise tip tip_jacobian flange_jacobian pose plunger", Batch)
 
-    def _each(self, names: str, form: type[Batch] | type[Columnwise]) -> SimpleNamespace:
+    def _each(self, names: str, form: type[Batch] | type[Columnwise]) -> Names:
         functions = {name: getattr(self, name) for name in names.split()}
-        return SimpleNamespace(**{name: form(each) for name, each in functions.items() if each is not None})
+        return Names(**{name: form(each) for name, each in functions.items() if each is not None})
 
 
 def compile_rows(traced: Trace) -> RowModel:

@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -21,7 +20,7 @@ from casacal.model.joints import Conventions, Joint
 from casacal.model.kinematics import Expression, Product, chain, position, rigid, screw, slide
 from casacal.model.unknown import PRIOR_STD, Parameter, Unknown
 from casacal.user_code import line_of
-from casacal.values import FrozenMapping, Value
+from casacal.values import FrozenMapping, Names, Value
 
 Triple = tuple[float, float, float]
 
@@ -105,7 +104,7 @@ class TracedPose(Value):
         """Trace a pose function; lets pass what the function raises."""
         q = ca.SX.sym("q", joints)
         symbols, values = packed_symbols(parameters)
-        built = pose(SimpleNamespace(**values), q)
+        built = pose(Names(**values), q)
         factors = [ca.SX(f) for f in built.factors] if isinstance(built, Product) else [ca.SX(built)]
         return TracedPose(FrozenMapping(parameters), ca.Function("pose", [*symbols, q], factors))
 
@@ -125,7 +124,7 @@ class TracedPose(Value):
 
     def at_drawn(self, q: Expression) -> Expression:
         """The flange pose of the arm as drawn."""
-        return self(SimpleNamespace(**self.drawn), q)
+        return self(Names(**self.drawn), q)
 
     @property
     def joints(self) -> int:

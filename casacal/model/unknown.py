@@ -37,17 +37,18 @@ START_STD = {"mm": 10.0, "rad": 0.01}
 class Unknown(ABC):
     """A nominal value and a smooth map to values from `size` local coordinates, zero at the nominal.
 
-    A kind is described twice, on purpose. `at` is the map from local coordinates, which every estimator uses.
-    `raw_*` is a second, redundant description (a normal as a free 3-vector with a unit-norm constraint, say),
-    which only the IPOPT reference uses, so that agreement between the two means something.
+    A kind of one's own gives `units`, `prior_stds`, `nominal` and `at`; properties may be plain attributes.
+
+    `raw_*` is a second, redundant description (a normal as a free 3-vector with a unit-norm constraint, say), which
+    only the IPOPT reference uses, so that agreement between the two means something. By default it is the first one.
     """
 
-    per: str | None
+    per: str | None = None
 
     @property
-    @abstractmethod
     def size(self) -> int:
         """Number of free local coordinates."""
+        return len(self.units)
 
     @property
     @abstractmethod
@@ -60,9 +61,9 @@ class Unknown(ABC):
         """Prior standard deviation of each local coordinate (size,); infinite where the prior is flat."""
 
     @property
-    @abstractmethod
     def start_stds(self) -> Array:
-        """Where filters and populations start (size,): the prior, or `start_std` where that is flat."""
+        """Where filters and populations start (size,): the prior, or 10 mm and 10 mrad where that is flat."""
+        return start_stds(self.prior_stds, None, self.units, f"a {type(self).__name__.lower()}")
 
     @property
     @abstractmethod
@@ -70,18 +71,18 @@ class Unknown(ABC):
         """Numbers (nominal_size,) that fix the nominal value, or None when the data must propose it."""
 
     @property
-    @abstractmethod
     def nominal_size(self) -> int:
-        """Number of components of a nominal value."""
+        """Number of components of a nominal value; as many as local coordinates where the data propose it."""
+        return self.size if self.nominal is None else len(self.nominal)
 
     @property
     def raw_size(self) -> int:
         """Number of raw coordinates; as many as local ones unless a kind says otherwise."""
         return self.size
 
-    @abstractmethod
     def names(self, key: str) -> tuple[str, ...]:
-        """Names of the free local coordinates when the unknown itself is called `key`."""
+        """Names of the free local coordinates when the unknown itself is called `key`: "key", or key1, key2, ..."""
+        return (key,) if self.size == 1 else tuple(f"{key}{i + 1}" for i in range(self.size))
 
     @abstractmethod
     def at(self, nominal: Expression, local: Expression) -> Expression:
@@ -113,35 +114,40 @@ class Unknown(ABC):
         del nominal, local
         return "", None
 
-    @abstractmethod
     def placed(self, near: Array, normal: Array) -> Array:
         """Numbers of a simulated nominal near a point (3, mm); where it is flat, it looks along `normal` (3)."""
+        del near, normal
+        kind = type(self).__name__
+        raise ProblemError(f"A {kind} does not say where a simulation places it", "Give it a nominal, or `placed`")
 
     def recentred(self, nominal: Array, local: Array) -> Array:
         """Numbers of a nominal where local coordinates (size,) lead from one; as it was where a kind does not say."""
         del local
         return nominal
 
-    @abstractmethod
     def raw_start(self, nominal: Array) -> Array:
         """Raw coordinates of the nominal; nobody asks where all is held, nor for the two that follow."""
+        del nominal
+        return np.zeros(self.raw_size)
 
-    @abstractmethod
     def raw_value(self, nominal: Expression, raw: Expression) -> Expression:
         """Value at raw coordinates."""
+        return self.at(nominal, raw)
 
-    @abstractmethod
     def raw_local(self, nominal: Expression, raw: Expression) -> Expression:
         """Local coordinates (size,) of a raw point that meets the constraints."""
+        del nominal
+        return raw
 
     def raw_constraints(self, raw: Expression) -> list[Expression]:
         """Expressions that vanish where raw coordinates are valid."""
         del raw
         return []
 
-    @abstractmethod
     def with_free(self, free: Sequence[bool]) -> Unknown:
-        """Copy with only the flagged of its present free coordinates left free."""
+        """Copy with only the flagged of its present free coordinates left free; none by default."""
+        del free
+        raise ProblemError(f"A {type(self).__name__} cannot be held", "Leave it free, or give it `with_free`")
 
     def component_names(self, key: str) -> tuple[str, ...]:
         """Names of all components, free or held, that can be freed one by one; none by default."""
@@ -155,9 +161,11 @@ class Unknown(ABC):
             return replace(self, free=True)
         raise ProblemError(f"{type(self).__name__} cannot be freed", "Declare it free in the problem")
 
-    @abstractmethod
     def with_prior(self, stds: Sequence[float]) -> Unknown:
-        """Copy with another prior standard deviation for each free coordinate."""
+        """Copy with another prior standard deviation for each free coordinate: a dataclass's field `prior_std`."""
+        if is_dataclass(self) and "prior_std" in {each.name for each in fields(self)}:
+            return replace(self, prior_std=tuple(map(float, stds)))
+        raise ProblemError(f"The prior of a {type(self).__name__} cannot be replaced", "Give it `with_prior`")
 
 
 def spread(values: float | Sequence[float], count: int, what: str) -> Array:

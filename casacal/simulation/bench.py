@@ -146,15 +146,20 @@ def exact_rows(bench: Bench, labels: Mapping[str, Labels], rng: np.random.Genera
     return Samples(joints, columns, known, tuple(range(1, len(which) + 1)), {}, "", "")
 
 
-def found_rows(bench: Bench, target: Array, rng: np.random.Generator, rounds: int = ROUNDS) -> tuple[Array, Rows]:
-    """Joints and readings (N, n) at which the residuals (N, m) are met, joints inside their limits, and where."""
+def found_rows(
+    bench: Bench, target: Array, rng: np.random.Generator, rounds: int = ROUNDS, *, limited: bool = True
+) -> tuple[Array, Rows]:
+    """Joints and readings (N, n) at which the residuals (N, m) are met, joints inside their limits, and where.
+
+    limited: whether readings keep to their limits, too.
+    """
     count = len(target)
     free = np.full((count, len(bench.problem.robot.axes) + bench.read), np.nan)
     waiting = np.arange(count)
     for _ in range(rounds):
         start = _starts(bench, target, waiting, rng)
         found, met = _met(bench, start, target[waiting], waiting)
-        met &= _inside(bench, found) & (bench.beyond(found, waiting) < 1e-6)
+        met &= _inside(bench, found, limited) & (bench.beyond(found, waiting) < 1e-6)
         free[waiting[met]] = found[met]
         waiting = waiting[~met]
         if not waiting.size:
@@ -162,13 +167,13 @@ def found_rows(bench: Bench, target: Array, rng: np.random.Generator, rounds: in
     return free, ~np.isnan(free).any(axis=1)
 
 
-def _inside(bench: Bench, free: Array) -> Rows:
+def _inside(bench: Bench, free: Array, limited: bool = True) -> Rows:
     """Which joints and readings (N, n) are inside their limits."""
     instrument, n = bench.problem.instrument, len(bench.problem.robot.axes)
     ends = [instrument.reading_limits.get(name, (-np.inf, np.inf)) for name in instrument.columns]
     least, most = np.array(ends).reshape(-1, 2).T
-    readings = free[:, n:]
-    return inside_limits(bench.problem.robot, free[:, :n]) & ((readings >= least) & (readings <= most)).all(axis=1)
+    readings, reached = free[:, n:], inside_limits(bench.problem.robot, free[:, :n])
+    return reached & ((readings >= least) & (readings <= most)).all(axis=1) if limited else reached
 
 
 def read_there(bench: Bench, standing: Array, target: Array) -> tuple[Array, Rows]:

@@ -267,11 +267,7 @@ def fitting_rows(
     if postures is None:
         free, met = found_rows(bench, target, pose_rng)
         if not met.all():
-            raise SimulationError(
-                f"No posture inside the limits of '{problem.robot.name}' and its readings makes the residual of "
-                f"{type(instrument).__name__} vanish in {(~met).sum()} of {count} rows",
-                "Give its unknowns nominal values within the arm's reach, or give the instrument a `probe`",
-            )
+            raise _no_posture(bench, target, met, pose_rng)
         lag = last_moves(free[:, :n]) * cell.backlash / 2
         said = unwaved(arm.waves, free[:, :n] - scatter + lag)
     else:
@@ -383,6 +379,21 @@ class Simulation(Value):
             for v in (0.0 if readings is None else readings, when)
         )
         return self.arm_errors.tips(touch, q, ways, places)
+
+
+def _no_posture(bench: Bench, target: Array, met: Rows, rng: np.random.Generator) -> SimulationError:
+    """Why some rows find no posture: for the limits of readings, where they would find one without these."""
+    robot, instrument = bench.problem.robot, bench.problem.instrument
+    what = (
+        f"No posture inside the limits of '{robot.name}' and its readings makes the residual of "
+        f"{type(instrument).__name__} vanish in {(~met).sum()} of {len(met)} rows"
+    )
+    limits = instrument.reading_limits
+    if limits and found_rows(bench, target, rng, 1, limited=False)[1].sum() > met.sum():
+        said = ", ".join(f"'{name}' {low:g} to {high:g}" for name, (low, high) in limits.items())
+        return SimulationError(f"{what}; without its reading_limits ({said}) more do", "Widen reading_limits")
+    fix = "Give its unknowns nominal values within the arm's reach, or give the instrument a `probe`"
+    return SimulationError(what, fix)
 
 
 def simulate_one(problem: Problem, cell: Disturbances | None, samples: int | Samples, draw: Draw) -> Simulation:

@@ -12,7 +12,7 @@ from casacal.errors import StudyError
 from casacal.fit.bound_problem import BoundProblem, bind
 from casacal.fit.least_squares import Result
 from casacal.model.problem import Problem
-from casacal.simulation.cell import Cell
+from casacal.simulation.cell import Disturbances
 from casacal.simulation.simulate import simulate
 from casacal.uncertainty.figures import nees, residual_figures
 from casacal.uncertainty.tip_error import bayesian_bound, tip_rms, tip_stds, up_to_base, without_rigid, workspace_joints
@@ -86,13 +86,14 @@ class Simulated:
     """A setting of a study: a problem in a simulated cell.
 
     problem: what is true, with one instrument; its prior is what true errors are drawn from. cell: what it touches, and
-    what disturbs the arm without being in its model. samples: touches of a trial. heldout: how many of them, the last
-    ones, are not fitted but judged. fitted: what is assumed, with the same unknowns; by default the problem itself.
+    what disturbs the arm without being in its model; by default as `simulate` has it. samples: touches of a trial.
+    heldout: how many of them, the last ones, are not fitted but judged. fitted: what is assumed, with the same
+    unknowns; by default the problem itself.
     Raises StudyError when nothing would be left to fit.
     """
 
     problem: Problem
-    cell: Cell
+    cell: Disturbances | None = None
     samples: int = 120
     heldout: int = 35
     fitted: Problem | None = None

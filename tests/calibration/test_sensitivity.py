@@ -69,6 +69,13 @@ def test_a_reading_moves_the_estimate_as_a_refit_does(made, which):
     )
 
 
+def test_readings_stand_as_in_the_file(made):
+    calibration, _ = made
+    places = [calibration.fit.measured.place(j) for j in range(len(calibration.fit.measured))]
+    rows = [places.index(place) for place, _ in calibration.sensitivity.readings]
+    assert rows == sorted(rows)
+
+
 def test_a_priors_mean_moves_the_estimate_as_a_refit_does(made):
     calibration, x = made
     found, fit = calibration.sensitivity, calibration.fit

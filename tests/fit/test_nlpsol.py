@@ -35,6 +35,19 @@ def test_every_solver_finds_the_closed_form(solver):
     np.testing.assert_allclose(result.x + nominal, mean, atol=1e-7)
 
 
+@pytest.mark.parametrize(
+    ("solver", "options", "named"),
+    [
+        ("ipopt", {"ipopt.max_itr": 3}, "No such IPOPT option: max_itr"),
+        ("ipopt", {"max_itr": 3}, "Unknown option: max_itr"),
+        ("sqpmethod", {"max_itr": 3}, "Unknown option: max_itr"),
+    ],
+)
+def test_an_option_that_a_solver_does_not_know_is_named(solver, options, named):
+    with pytest.raises(CasacalError, match=named):
+        nlpsol(as_symbols(*random_linear(3)), solver=solver, options=options)
+
+
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_every_solver_finds_the_minimum_of_lm_and_says_nothing(solver, corner_bound, capfd):
     mine, theirs = lm(corner_bound), nlpsol(corner_bound, solver=solver)

@@ -135,45 +135,21 @@ class OnRail(Unknown):
     """A point somewhere along a rail through (1500, 0, 200) in y: a kind of unknown of one's own."""
 
     along: float | None
-    per: str | None = None
-    size = nominal_size = raw_size = 1
     units = ("mm",)
     prior_stds = np.array([math.inf])
-    start_stds = np.array([10.0])
 
     @property
     def nominal(self):
         return None if self.along is None else np.array([self.along])
 
-    def names(self, key):
-        return (key,)
-
     def at(self, nominal, local):
         return ca.vertcat(1500.0, nominal[0] + local[0], 200.0)
-
-    def packed(self, value):
-        return value
 
     def placed(self, near, normal):
         return np.array([near[1]])
 
     def recentred(self, nominal, local):
         return nominal + local
-
-    def raw_start(self, nominal):
-        return np.array(nominal)
-
-    def raw_value(self, nominal, raw):
-        return ca.vertcat(1500.0, raw[0], 200.0)
-
-    def raw_local(self, nominal, raw):
-        return raw - nominal
-
-    def with_free(self, free):
-        raise ProblemError("A rail is free", "Leave it so")
-
-    def with_prior(self, stds):
-        return self
 
 
 class RailWire(Wire):

@@ -103,6 +103,50 @@ def test_residuals_equal_those_of_the_kernels_for_every_kind_of_expression(bound
     assert (symbolic.names, symbolic.units) == (bound.names, bound.units)
 
 
+def test_data_are_parameters_for_ones_own_solver(bound):
+    """Other readings and noise as numbers in p, against rows that were bound anew with them."""
+    rows, x, p = bound.symbolic, some_x(bound), bound.symbolic.data.copy()
+    np.testing.assert_allclose(array(rows.residual(x, p)), bound.residual(x), rtol=1e-9, atol=1e-8)
+    rng, sets = np.random.default_rng(4), []
+    for i, samples in enumerate(bound.samples):
+        columns = {name: each + rng.normal(size=len(samples)) for name, each in samples.columns.items()}
+        joints = samples.joints + 1e-3 * rng.normal(size=samples.joints.shape)
+        p[rows.data_index("joints", i)] = joints
+        for name, each in columns.items():
+            p[rows.data_index(name, i)] = each
+        sets.append(dataclasses.replace(samples, joints=joints, columns=columns))
+    expected = bound.on(*sets).plain_residual(x)
+    noise = np.concatenate([p[rows.data_index("noise", i)].ravel() for i in range(len(sets))])
+    np.testing.assert_allclose(array(rows.residual(x, p)) * noise, expected, rtol=1e-9, atol=1e-9)
+    p[rows.data_index("noise")] *= 2
+    assert float(rows.objective(x, p)) == pytest.approx(
+        float(ca.sumsqr(rows.residual(x, p))) / 2 + bound.prior_cost(x), rel=1e-12
+    )
+
+
+def test_one_solver_serves_every_session(ur5):
+    """`nlpsol(p=...)`, made once: with the readings of another session it finds what lm finds there."""
+    rows = ur5.symbolic
+    y, p = ca.MX.sym("y", ur5.unknowns), ca.MX.sym("p", rows.data.size)
+    program = {"x": y, "p": p, "f": rows.objective(rows.x0 + rows.start_std * y, p)}
+    solver = ca.nlpsol("own", "ipopt", program, {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}})
+    moved = ur5.samples[0].columns["reading"] + 0.01 * np.random.default_rng(2).normal(size=ur5.rows)
+    other = ur5.on(dataclasses.replace(ur5.samples[0], columns={"reading": moved}))
+    data = rows.data.copy()
+    data[rows.data_index("reading")] = moved
+    for bound, given in ((ur5, rows.data), (other, data)):
+        assert float(solver(x0=0, p=given)["f"]) == pytest.approx(lm(bound).cost, rel=1e-9)
+
+
+def test_data_that_do_not_exist_are_named(ur5):
+    with pytest.raises(ProblemError, match=r"no 'readings' of instrument 1\. Known: joints, noise, reading"):
+        ur5.symbolic.data_index("readings")
+    with pytest.raises(ProblemError, match="no 'noise' of instrument 2"):
+        ur5.symbolic.data_index("noise", 1)
+    with pytest.raises(ProblemError, match="p has the shape"):
+        ur5.symbolic.objective(ur5.x0, np.zeros(3))
+
+
 @pytest.mark.parametrize(("name", "by_hand"), [("hsr", hsr_row), ("ur5", ur5_row), ("tracked", tracked_row)])
 def test_residuals_equal_the_arm_by_hand(name, by_hand):
     bound = BOUND[name]()

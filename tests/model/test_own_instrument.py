@@ -379,6 +379,8 @@ def test_simulated_readings_keep_to_what_a_device_can_show():
     assert 0 < kept.columns["range"].min() < kept.columns["range"].max() < 3000
     with pytest.raises(SimulationError, match=r"inside the limits of .* and its readings"):
         simulate(laser(reading_limits={"range": (-2.0, -1.0)}), samples=5, seed=1)
+    with pytest.raises(SimulationError, match=r"without its reading_limits \('range' -2 to -1\) more do. Widen"):
+        simulate(laser(reading_limits={"range": (-2.0, -1.0)}), samples=5, seed=1)
 
 
 class HeightGauge(Instrument):
