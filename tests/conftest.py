@@ -30,6 +30,9 @@ def pytest_configure(config: pytest.Config) -> None:
     folder = tempfile.TemporaryDirectory(prefix="casacal-matplotlib-", ignore_cleanup_errors=True)
     config.add_cleanup(folder.cleanup)
     os.environ["MPLCONFIGDIR"] = folder.name
+    # hundreds of commands start anew, and where nobody keeps bytecode each would compile all that it imports
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    os.environ["PYTHONPYCACHEPREFIX"] = str(Path(folder.name) / "bytecode")
     subprocess.run([sys.executable, "-c", "import matplotlib.font_manager"], check=True)
 
 

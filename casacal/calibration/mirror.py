@@ -27,6 +27,7 @@ AKIN = 0.01  # misfit of the image over the spread of the tips, below which para
 APART = 1.0  # mm by which a rigid motion must miss the image; an arm in a plane is its own
 EQUAL = 12.0  # difference of the costs below which rows and priors do not tell one from the other: odds of e^12
 MOST_ROWS = 1000  # of the samples that are fitted: an image fits as well, or is off by thousands
+MORE_STEPS = 20  # than the arm itself takes, after which a pattern is no image: an image is as near to its drawing
 MOST_FITS = 12  # patterns that are fitted, the simplest first
 
 
@@ -35,15 +36,15 @@ def mirror_image(fit: BoundProblem) -> MirrorImage | None:
 
     None where there is none: an instrument that sees poses, say, or joint limits, tell them apart.
     """
-    fit, robot, least = fit.thinned(MOST_ROWS), fit.problem.robot, math.nan
+    fit, robot, own = fit.thinned(MOST_ROWS), fit.problem.robot, None
     for signs, offsets, off in _images(fit):
         turned = [replace(some, joints=some.joints * signs + offsets) for some in fit.measured.sets]
         if not all(inside_limits(robot, some.joints).all() for some in turned):
             continue
-        if math.isnan(least):
-            least = lm(fit).cost
-        image = lm(fit.on(*turned))
-        if image.converged and image.cost - least <= EQUAL:
+        if own is None:
+            own = lm(fit)
+        image = lm(fit.on(*turned), max_steps=own.steps + MORE_STEPS)
+        if image.converged and image.cost - own.cost <= EQUAL:
             numbers = np.arange(1, len(signs) + 1)
             return MirrorImage(tuple(numbers[signs < 0].tolist()), tuple(numbers[offsets > 0].tolist()), off)
     return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,6 +18,7 @@ from casacal.fit.kernel_rows import FEW, KernelRows, RawGraph, constraint_set, s
 from casacal.fit.least_squares import DampedStep, ExtendedPass, FilterPass, Gaussian, LeastSquares, Normal
 from casacal.fit.nominal import surveys_of
 from casacal.fit.slots import Slot, make_slots, nominals
+from casacal.kernels.backend import VARIABLE
 from casacal.kernels.filter_passes import FilterRows
 from casacal.kernels.losses import Loss
 from casacal.kernels.native_rows import NativeKernels, NativeNormal, PackedPieces
@@ -75,7 +77,8 @@ def bind(
     Args:
         problem: robot and instruments.
         samples: rows of each instrument, one after another or together.
-        backend: "c" or "blocks", what evaluates the rows; None takes CASACAL_BACKEND, else C where there is a compiler.
+        backend: "c" or "blocks", what evaluates the rows; None takes CASACAL_BACKEND, else C where there is a compiler
+            and it is worth the wait: not for up to 1000 rows with effects beside the geometry.
         threads: how many share thousands of rows; None takes CASACAL_THREADS, else the processors at hand. Results do
             not depend on it.
 
@@ -99,6 +102,15 @@ def bind(
 
 MOST_UNKNOWNS = 2_000  # with which a calibration takes about a minute and a gigabyte
 ABSURD = 1e12  # mm, rad or of whatever is read; squares of more overflow
+
+
+FEW_ROWS = 1000  # up to which a fit with effects takes a tenth of a second in blocks, and a compiler takes ten
+
+
+def _few_in_blocks(problem: Problem, samples: Sequence[Samples]) -> str | None:
+    """The back end of few rows with terms beside the geometry where nobody asks for one; None leaves it open."""
+    few = bool(problem.terms) and sum(map(len, samples)) <= FEW_ROWS and VARIABLE not in os.environ
+    return "blocks" if few else None
 
 
 def _refuse_absurd(samples: Samples) -> None:
@@ -170,7 +182,8 @@ class BoundProblem(LeastSquares):
         self._backend, self._threads = backend, thread_count(threads)  # as requested; `backend` is the one in use
         if stated is None:
             made = [make_block(problem, i, self.slots, some, self.surveys[i]) for i, some in enumerate(samples)]
-            stated = KernelRows(made, self.unknowns, backend, self._threads)
+            used = _few_in_blocks(problem, samples) if backend is None else backend
+            stated = KernelRows(made, self.unknowns, used, self._threads)
         self._stated = self._rows = stated  # with the noise as it was stated
         self.blocks = stated.blocks
         if self.scale:

@@ -97,6 +97,7 @@ KNOWN: Mapping[tuple[str, ...], tuple[str, ...]] = {
     ("robot", "joint"): tuple(ATTRIBUTES),
 }
 """Tags that matter, by those that they stand in."""
+DEEP = 4  # longer than the longest of them
 EXPAND = "Expand it first: xacro ARM.urdf.xacro > ARM.urdf"
 PLACING = ("origin", "axis", "parent", "child")  # those in which nothing may be overlooked
 
@@ -200,7 +201,7 @@ class UrdfFile:
             children[joint.child] = joint.name
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
-        above, joints = tuple(self.path), self.joints
+        above, joints = tuple(self.path[:DEEP]), self.joints  # deeper is nothing that is known
         self.path.append(tag)
         if tag.startswith("xacro:"):
             self._refuse(f"is xacro (<{tag}>)", EXPAND)
