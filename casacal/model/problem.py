@@ -262,7 +262,9 @@ class Problem(Value):
             if key is None:
                 every = (each for key, unknown in known.items() for each in (key, *unknown.component_names(key)))
                 raise UnknownNameError("unknown", name, list(dict.fromkeys(every)))
-            changed = changed._with(key, known[key].freed(None if name == key else name.removeprefix(key)))
+            freed = known[key].freed(None if name == key else name.removeprefix(key))
+            if freed.size != known[key].size:  # what is free already keeps what was compiled
+                changed = changed._with(key, freed)
         return changed
 
     def with_prior(
