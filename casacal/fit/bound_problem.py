@@ -78,7 +78,7 @@ def bind(
         problem: robot and instruments.
         samples: rows of each instrument, one after another or together.
         backend: "c" or "blocks", what evaluates the rows; None takes CASACAL_BACKEND, else C where there is a compiler
-            and it is worth the wait: not for up to 1000 rows with effects beside the geometry.
+            and it is worth the wait: not for up to 1000 rows with terms beside the geometry.
         threads: how many share thousands of rows; None takes CASACAL_THREADS, else the processors at hand. Results do
             not depend on it.
 
@@ -104,7 +104,7 @@ MOST_UNKNOWNS = 2_000  # with which a calibration takes about a minute and a gig
 ABSURD = 1e12  # mm, rad or of whatever is read; squares of more overflow
 
 
-FEW_ROWS = 1000  # up to which a fit with effects takes a tenth of a second in blocks, and a compiler takes ten
+FEW_ROWS = 1000  # up to which a fit with terms beside the geometry takes tenths of a second in blocks; a compiler, ten
 
 
 def _few_in_blocks(problem: Problem, samples: Sequence[Samples]) -> str | None:
