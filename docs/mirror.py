@@ -15,6 +15,7 @@ PAGES = ("docs/**/*.md", "docs/**/*.ipynb", "*.md", "problems/*/*.md", "studies/
 BESIDE = (
     "docs/*.js",
     "studies/*/*.png",
+    "docs/pictures/*.png",
     "studies/*.py",
     "problems/*/*.*",
     "casacal/**/*.py",
