@@ -34,7 +34,7 @@ POPULATION, FEWEST, MEMORY, ARCHIVE, BEST, SPREAD = 50, 4, 6, 2.6, 0.11, 0.1
 CEC 2014; but their first population, 18 per unknown, is for 10,000 candidates per unknown, twenty times ours."""
 
 
-class _SearchEndedError(Exception):
+class SearchEndedError(Exception):
     """The budget is spent, or nothing falls any more."""
 
 
@@ -109,7 +109,7 @@ class Search:
         """
         idle = self.spent - self.last_fall[0] > PATIENCE
         if self.spent + len(points) > self.allowed or (idle and self.allowed == math.inf):
-            raise _SearchEndedError
+            raise SearchEndedError
         states = self.states(points)
         found = self._placed(states) if self.placed.size else self.problem.costs(states, self.loss)
         self.evaluations += 0 if self.placed.size else len(points)
@@ -127,7 +127,7 @@ class Search:
     def gradient(self, point: Array) -> Array:
         """Gradient (n,) of the objective at one point (n,), the datum at its best: there it has none of its own."""
         if self.spent + 2 + SLOPES > self.allowed:
-            raise _SearchEndedError
+            raise SearchEndedError
         (state,) = states = self.states(point[None])
         if self.placed.size:
             self._step(states[0])
@@ -233,7 +233,7 @@ def annealing(
 
     search = Search(problem, budget=budget, width=width, loss=loss, exact=local_search, progress=progress)
     bounds, most = [(-width, width)] * search.unknowns, 10**9
-    with contextlib.suppress(_SearchEndedError):
+    with contextlib.suppress(SearchEndedError):
         dual_annealing(
             lambda point: float(search.costs(np.asarray(point)[None])[0]),
             bounds,
@@ -280,7 +280,7 @@ def swarm(
     places = search.drawn(rng, count)
     speeds = (search.drawn(rng, count) - places) / 2
     best_places, best_costs, reached, informs = places.copy(), np.full(count, np.inf), np.inf, np.eye(count, dtype=bool)
-    with contextlib.suppress(_SearchEndedError):
+    with contextlib.suppress(SearchEndedError):
         while True:
             costs = search.costs(places)
             better = costs < best_costs
@@ -327,7 +327,7 @@ def evolution(
     size = first = int(max(min(population, search.allowed // 10), FEWEST))
     points, lost = search.drawn(rng, size), np.zeros((0, search.unknowns))
     memory = np.full((MEMORY, 2), 0.5)  # of the factor, and of the rate of crossing
-    with contextlib.suppress(_SearchEndedError):
+    with contextlib.suppress(SearchEndedError):
         costs = search.costs(points)
         while True:
             told = memory[rng.integers(MEMORY, size=size)]
