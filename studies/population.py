@@ -24,11 +24,14 @@ from casacal.fit.population import Search, SearchEndedError
 from casacal.simulation import Simulated
 from casacal.study import Method, Run, Study
 from casacal.study.statistics import Interval, paired
+from studies import rivals
 from studies.paper import CORNER, FACE, ONE, SOURCE, THREE
 from studies.reporting import figure, number, palette, save, script, shared_legend, table
-from studies.rivals import BUDGETS, at_budget
+from studies.rivals import at_budget
 
 LM = "LM"
+BUDGETS: tuple[int | None, ...] = (*rivals.BUDGETS, None)
+"""Rows of residuals that a search may evaluate; None: until it stops."""
 WEIGHT, PULL = 0.7298, 1.49618
 """Clerc and Kennedy, The particle swarm: explosion, stability and convergence, 2002."""
 

@@ -4,10 +4,8 @@ from casacal import annealing, ekf, evolution, ipopt, lm, nominal, sckf, sckf_lm
 from casacal.fit import null_step, plane_only, scipy_least_squares
 from casacal.study import Method
 
-BUDGETS: tuple[int | None, ...] = (10_000, 100_000, 1_000_000, None)
-"""Rows of residuals that each population method may evaluate, each in a run of its own; None: until it stops."""
-FULL = 1_000_000
-"""The budget at which tables and figures stand for a population method."""
+BUDGETS = (10_000, 100_000, 1_000_000)
+"""Rows of residuals that each population method may evaluate, each in a run of its own."""
 POPULATION = {"M1 annealing": annealing, "M2 swarm": swarm, "M4 evolution": evolution}
 LOCAL_SEARCH = "M1 annealing with local search, 1e5"
 BEFORE, PLANES, EKF, SCKF, LM, BOTH = "before", "M0 planes only", "M3 EKF", "M5 SCKF", "M6 LM", "M7 SCKF+LM"
@@ -24,10 +22,10 @@ def at_budget(name: str, budget: int | None) -> str:
     return f"{name}, until it stops" if budget is None else f"{name}, 1e{len(str(budget)) - 1}"
 
 
-def population(trials: int, budgets: tuple[int | None, ...] = BUDGETS, late: int = 0) -> dict[str, Method]:
-    """M1, M2 and M4 at each budget, in some trials only: the first `trials`, the first `late` where none is set."""
+def population(trials: int, budgets: tuple[int, ...] = BUDGETS) -> dict[str, Method]:
+    """M1, M2 and M4 at each budget, in some trials only."""
     return {
-        at_budget(name, budget): Method(estimate, {"budget": budget}, seeded=True, trials=trials if budget else late)
+        at_budget(name, budget): Method(estimate, {"budget": budget}, seeded=True, trials=trials)
         for name, estimate in POPULATION.items()
         for budget in budgets
     }
