@@ -74,9 +74,8 @@ def report(run: Run) -> list[str]:
     ]
     lines += [
         "",
-        "What a user sees and what a user wants (means with 95 % intervals), each over LM's on the same",
-        "trials (geometric",
-        "means of ratios), and what it costs (medians, a row of the Jacobian counted as "
+        "What a user sees and what a user wants (means with 95 % intervals), each over LM's on the same trials",
+        "(geometric means of ratios), and what it costs (medians, a row of the Jacobian counted as "
         f"{paper_tables.jacobian_price(run):.2g} rows of residuals):",
         "",
         *paper_tables.headline(run, shown, (ONE, THREE)),
@@ -120,26 +119,21 @@ def drawn(run: Run, shown: list[str], budget: int) -> None:
 def introduction(run: Run) -> list[str]:
     """What was simulated, and what the columns mean."""
     return [
-        f"Simulated HSR-JR680; {run.study.trials} trials per setting, in each the same arm, touches and noise",
-        "for all",
+        f"Simulated HSR-JR680; {run.study.trials} trials per setting, in each the same arm, touches and noise for all",
         "methods. 120 touches, 85 fitted and 35 held out; dial noise 0.01 mm, travel 10 mm; true errors drawn from",
-        f"the prior of 0.7 mm and 1 mrad. *{ONE}*: a plate of 600 mm, tilt up to 5 degrees. *{THREE}*: floor, wall",
-        "and side wall. *Errors the model lacks*: compliance 0.3 mm RMS, backlash 40 urad, joint repeatability",
-        f"20 urad, a plate of grade I, all unknown to the fit. *Errors {BEYOND}x the prior*: the prior is",
-        "wrong, true errors",
-        f"are {BEYOND} times what it says. *Errors x{FACTOR}*: true errors and priors {FACTOR} times as",
-        "large. Population",
-        "methods search the prior's mean +- 4 standard deviations and start spread as the prior, planes are",
-        "placed where",
-        "they fit each candidate best; each budget in a separate run, in fewer trials where the tables say",
-        "so. How they",
-        "compare with published implementations, and where they stop by themselves, is in",
+        f"the prior of 0.7 mm and 1 mrad. *{ONE}*: a plate of 600 mm, tilt up to 5 degrees.",
+        f"*{THREE}*: floor, wall and side wall. *Errors the model lacks*: compliance 0.3 mm RMS, backlash",
+        "40 urad, joint repeatability 20 urad, a plate of grade I, all unknown to the fit. *Errors",
+        f"{BEYOND}x the prior*: the prior is wrong, true errors are {BEYOND} times what it says.",
+        f"*Errors x{FACTOR}*: true errors and priors {FACTOR} times as large. Population methods search the prior's mean +- 4 standard",
+        "deviations and start spread as the prior; planes are placed where they fit each candidate best, not",
+        "searched. Each budget is a separate run, in fewer trials where the tables say so. How they compare with",
+        "published implementations, and where they stop by themselves, is in",
         "[studies/population](../population/report.md).",
         "",
-        "Plane residual: distance of held-out tips from the fitted plane, **not accuracy**. Tip error:",
-        "distance of the",
-        "true tip from where the calibrated arm believes it to be, over 400 poses of the workspace, apart from where",
-        "the base stands.",
+        "Plane residual: distance of held-out tips from the fitted plane, **not accuracy**. Tip error: distance",
+        "of the true tip from where the calibrated arm believes it to be, over 400 poses of the workspace, apart",
+        "from where the base stands.",
     ]
 
 
@@ -173,8 +167,7 @@ def in_short(run: Run, budget: int) -> list[str]:
         "",
         f"Ratios: geometric means with bootstrap 95 % intervals, {run.study.trials} paired trials. Rates: a minimum",
         f"counts as found within {paper_tables.FOUND:g} of the lowest objective that any minimiser found;",
-        "Clopper and",
-        "Pearson's exact 95 % intervals.",
+        "Clopper and Pearson's exact 95 % intervals.",
     ]
 
 
@@ -204,8 +197,7 @@ def answers(run: Run) -> list[str]:
         "**In finding the minimum at all?** Over all settings LM finds the minimum in "
         f"{percent(rates[rivals.LM])} of trials, SCKF+LM in {percent(rates[rivals.BOTH])}; {only[0]} "
         f"minima are found by SCKF+LM alone and {only[1]} by LM alone (exact p {p:.2g}): {verdict}. "
-        f"{late} fits of the two ran out of their 100 steps. Larger errors and more steps are in the study of",
-        "basins.",
+        f"{late} fits of the two ran out of their 1,000 steps. Larger errors are in the study of basins.",
     ]  # fmt: skip
 
 

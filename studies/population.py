@@ -127,7 +127,7 @@ def described(trials: int, late: int, budgets: tuple[int | None, ...]) -> Study:
     return Study("population", cells, methods, trials=trials)
 
 
-study, quick, skipped = described(12, 3, BUDGETS), described(2, 1, BUDGETS[:2]), None
+study, quick, skipped = described(6, 2, BUDGETS), described(2, 1, BUDGETS[:2]), None
 if missing := [name for name in ("pymoo", "pyswarms") if importlib.util.find_spec(name) is None]:
     skipped = f"{' and '.join(missing)} not installed; install with pip install 'casacal[population]'"
 
