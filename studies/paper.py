@@ -1,7 +1,7 @@
 """What is left of the paper's experiment when it is repeated?
 
 The simulated HSR-JR680 touches 120 times, 85 touches are fitted and 35 held out; M0 to M7, IPOPT and SciPy answer the
-same 200 arms, poses and noises, in the paper's cell (one face, tool nearly normal), in a good one (three faces, tilt
+same 100 arms, poses and noises, in the paper's cell (one face, tool nearly normal), in a good one (three faces, tilt
 30 degrees), with effects that the model does not describe, with true errors three times what the prior says, and with
 errors thirty times larger than usual. A real arm, judged by a tracker, stands beside them.
 
@@ -56,7 +56,7 @@ def described(trials: int, population: int, budgets: tuple[int, ...], settings: 
     return Study("paper", {name: every[name] for name in settings}, methods, trials=trials, details=10)
 
 
-study = described(200, 20, rivals.BUDGETS, (ONE, THREE, UNMODELLED, WRONG, FAR))
+study = described(100, 10, rivals.BUDGETS, (ONE, THREE, UNMODELLED, WRONG, FAR))
 quick = described(4, 1, rivals.BUDGETS[:2], (ONE, THREE, FAR))
 
 

@@ -44,15 +44,16 @@ def ended(search: Search, run: Callable[[], object], name: str) -> Result:
 
 
 def scipys(problem: LeastSquares, *, seed: int, budget: int | None) -> Result:
-    """SciPy's differential evolution, best/1/bin with its own constants, 5 candidates per unknown."""
+    """SciPy's differential evolution, best/1/bin with its own constants, 5 candidates per unknown, or a tenth of all."""
     from scipy.optimize import differential_evolution
 
     search, rng = Search(problem, budget=budget), np.random.default_rng(seed)
+    size = int(max(min(5 * search.unknowns, search.allowed // 10), 5))
     run = partial(
         differential_evolution,
         lambda points: search.costs(np.asarray(points).T),
         [(-search.width, search.width)] * search.unknowns,
-        init=search.drawn(rng, 5 * search.unknowns),
+        init=search.drawn(rng, size),
         maxiter=10**6,
         tol=0,
         polish=False,
@@ -127,7 +128,7 @@ def described(trials: int, late: int, budgets: tuple[int | None, ...]) -> Study:
     return Study("population", cells, methods, trials=trials)
 
 
-study, quick, skipped = described(6, 2, BUDGETS), described(2, 1, BUDGETS[:2]), None
+study, quick, skipped = described(5, 1, BUDGETS), described(2, 1, BUDGETS[:2]), None
 if missing := [name for name in ("pymoo", "pyswarms") if importlib.util.find_spec(name) is None]:
     skipped = f"{' and '.join(missing)} not installed; install with pip install 'casacal[population]'"
 
