@@ -44,7 +44,7 @@ def ended(search: Search, run: Callable[[], object], name: str) -> Result:
 
 
 def scipys(problem: LeastSquares, *, seed: int, budget: int | None) -> Result:
-    """SciPy's differential evolution, best/1/bin with its own constants, 5 candidates per unknown, or a tenth of all."""
+    """SciPy's differential evolution, best/1/bin with its own constants, 5 candidates per unknown or a tenth of all."""
     from scipy.optimize import differential_evolution
 
     search, rng = Search(problem, budget=budget), np.random.default_rng(seed)

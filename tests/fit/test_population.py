@@ -123,6 +123,8 @@ def test_without_a_budget_it_stops_at_the_minimum_and_says_so(method):
     assert "no sign of having arrived" in result.message
     costs, spent = result.trace["cost"], result.trace["candidates"]
     assert costs[spent >= spent[-1] - PATIENCE][0] - costs[-1] < 0.01  # it fell by no more since then
+    near = spent[costs < costs[-1] + 0.01][0]
+    assert spent[-1] - near < 2 * PATIENCE + 300  # nor did it go on for less
     assert [cost for _, cost in told] == sorted({cost for _, cost in told}, reverse=True)
     assert told[-1][1] == pytest.approx(result.cost)
     assert (np.abs(result.x - nominal) <= 4 * prior + 1e-12).all()
@@ -151,17 +153,37 @@ def test_values_that_are_not_finite_are_passed_by():
     assert swarm(problem, budget=8_000).status is Status.NOT_FINITE
 
 
+def test_a_step_of_the_datum_that_leads_too_far_is_undone():
+    """Where a face moves by exp(4 d) - 1, the linear step to 3 ends at 19."""
+    problem = with_a_datum()
+    whole, slopes = problem.residual, problem.a
+
+    def moved(x):
+        return np.array([*x[:4], *np.expm1(4 * x[4:])])
+
+    problem.b = problem.a @ np.array([0.1, 0.1, 0.1, 0.1, 3.0, 3.0])
+    problem.residual = lambda x: whole(moved(x))
+    problem.jacobian = lambda x: slopes * np.array([1, 1, 1, 1, *(4 * np.exp(4 * x[4:]))])
+    metered = Metered(problem)
+    for method in POPULATION.values():
+        result = method(metered, seed=0, budget=40_000)
+        assert result.cost <= problem.cost(problem.x0)
+    assert Search(problem).best_cost == pytest.approx(problem.cost(problem.x0), rel=1e-12)
+
+
 def test_a_problem_of_faces_alone_is_searched_after_all():
     problem = with_a_datum()
     problem.datum = np.ones(6, dtype=bool)
     assert Search(problem).unknowns == 6
 
 
-def ellipsoid(n=10, condition=1e6):
-    """Half a million times steeper along one axis than along another, not turned; the minimum away from the middle."""
-    slopes = np.sqrt(np.geomspace(1, condition, n))
+def ellipsoid(n=10, condition=1e6, *, turned=False):
+    """A million times steeper along one axis than along another; the minimum away from the middle."""
+    slopes = np.diag(np.sqrt(np.geomspace(1, condition, n)))
     at = np.random.default_rng(5).normal(size=n)
-    return Matrix(np.diag(slopes), slopes * at, np.zeros(n), np.full(n, np.inf), np.ones(n)), at
+    if turned:
+        slopes = slopes @ np.linalg.qr(np.random.default_rng(6).normal(size=(n, n)))[0]
+    return Matrix(slopes, slopes @ at, np.zeros(n), np.full(n, np.inf), np.ones(n)), at
 
 
 @pytest.mark.parametrize("method", [swarm, evolution])
@@ -170,6 +192,13 @@ def test_a_narrow_valley_is_followed_to_its_end(method):
     result = method(problem, seed=0, budget=10 * 15_000)
     assert result.cost < 1e-4 * problem.cost(problem.x0)
     assert np.abs(result.x - at).max() < 0.2
+
+
+def test_evolution_learns_to_follow_a_valley_that_is_turned():
+    """With its two constants left where they begin it ends ten times higher."""
+    problem, _ = ellipsoid(turned=True)
+    found = [evolution(problem, seed=seed, budget=10 * 3_000).cost for seed in range(3)]
+    assert np.median(found) < 2e-4 * problem.cost(problem.x0)
 
 
 def test_evolution_is_quicker_there_than_the_classical_one():
