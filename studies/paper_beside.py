@@ -150,12 +150,10 @@ def real_arm(run: Run, settings: tuple[str, ...], budget: int) -> list[str]:
     return [
         "## A wrong prior, and a real arm",
         "",
-        "Every figure over LM's on the same trials or splits: geometric means with bootstrap 95 % intervals.",
-        "The real arm",
-        "is a Yaskawa Motoman MA1400 that touched plates and was watched by a laser tracker: see",
-        "[studies/real_arm](../real_arm/report.md), where population methods had 1e6 rows. *Tracker*:",
-        "geometric mean of",
-        "its two runs.",
+        "Every figure over LM's on the same trials or splits: geometric means with bootstrap 95 % intervals. The",
+        "real arm is a Yaskawa Motoman MA1400 that touched plates and was watched by a laser tracker: see",
+        "[studies/real_arm](../real_arm/report.md), where population methods had 1e6 rows. *Tracker*: geometric",
+        "mean of its two runs. Where the prior is too narrow, the box that population methods search is, too.",
         "",
         *table(header, rows),
     ]
