@@ -3,9 +3,10 @@
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from casacal.study import Run
-from casacal.study.statistics import mean_interval
+from casacal.study.statistics import Interval, mean_interval
 from studies import rivals
 from studies.paper_tables import best_cost
 from studies.reporting import figure, save, save_both, shared_legend
@@ -27,8 +28,8 @@ def base(method: str) -> str:
 
 
 def headline(run: Run, methods: list[str], settings: tuple[str, str], path: Path) -> None:
-    """What one sees beside what one wants, method by method, in the paper's cell and in a good one."""
-    made = figure(9, 3.6)
+    """What one sees beside what one wants, in the paper's cell and in a good one; all methods on the same trials."""
+    made, count = figure(9, 3.6), common(run, methods)
     panels = made.subplots(1, 2, sharey=True)
     kinds = {
         "heldout_rmse_mm": ("plane residual of held-out touches, mm", (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)),
@@ -36,7 +37,7 @@ def headline(run: Run, methods: list[str], settings: tuple[str, str], path: Path
     }
     for axes, (name, (words, ticks)) in zip(panels, kinds.items(), strict=True):
         for setting, marker in zip(settings, ("o", "s"), strict=True):
-            found = [mean_interval(finite(run.values(setting, method, name))) for method in methods]
+            found = [mean_interval(finite(run.values(setting, method, name)[:count])) for method in methods]
             spans = np.array([[i.value - i.low, i.high - i.value] for i in found]).T
             shift = 0.14 if marker == "s" else -0.14
             for place, method in enumerate(methods):
@@ -54,20 +55,29 @@ def headline(run: Run, methods: list[str], settings: tuple[str, str], path: Path
     save(made, path)
 
 
-def bars(run: Run, methods: list[str], path: Path) -> None:
-    """Figure 3: RMSE, STD, MAX on held-out touches, and true tip error, with intervals."""
-    made = figure(3.6 * len(run.study.settings) + 1, 9)
+def common(run: Run, methods: list[str]) -> int:
+    """Number of first trials in which all these methods took part: what pictures compare."""
+    return min(run.study.trials_of(method) for method in methods)
+
+
+def dotted(axes: Axes, found: list[Interval], methods: list[str], shift: float = 0.0) -> None:
+    """Dots with intervals on a log axis, a method each."""
+    for place, (interval, method) in enumerate(zip(found, methods, strict=True)):
+        span = [[interval.value - interval.low], [interval.high - interval.value]]
+        axes.errorbar(place + shift, interval.value, yerr=span, fmt="o", ms=5, lw=1.2, color=COLOURS[base(method)])
+    axes.set_yscale("log")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(axis="y", lw=0.4, alpha=0.5)
+
+
+def dots(run: Run, methods: list[str], path: Path) -> None:
+    """Figure 3: RMSE, STD, MAX on held-out touches, and true tip error, with intervals, on the same trials."""
+    made, count = figure(3.6 * len(run.study.settings) + 1, 9), common(run, methods)
     panels = made.subplots(len(ROWS), len(run.study.settings), sharex=True, squeeze=False)
     for column, setting in enumerate(run.study.settings):
         for row, (name, words) in enumerate(ROWS.items()):
             axes = panels[row][column]
-            found = [mean_interval(finite(run.values(setting, method, name))) for method in methods]
-            heights = np.array([interval.value for interval in found])
-            spans = np.array([[i.value - i.low, i.high - i.value] for i in found]).T
-            colours = [COLOURS[base(method)] for method in methods]
-            axes.bar(range(len(methods)), heights, yerr=spans, color=colours, error_kw={"lw": 0.8})
-            axes.set_yscale("log")
-            axes.spines[["top", "right"]].set_visible(False)
+            dotted(axes, [mean_interval(finite(run.values(setting, m, name)[:count])) for m in methods], methods)
             if column == 0:
                 axes.set_ylabel(f"{words}, mm")
             if row == 0:
@@ -92,10 +102,14 @@ def training(run: Run, methods: list[str], path: Path) -> None:
         row[0].set_ylabel("objective above the best")
         row[0].set_title(f"(a) {setting}", fontsize=10)
         row[1].set_title("(b)", fontsize=10)
-        seconds = [np.nanmedian(run.values(setting, method, "solve", group="seconds")) for method in methods]
-        row[2].barh([base(m) for m in methods], seconds, color=[COLOURS[base(m)] for m in methods])
+        timed = [method for method in methods if method != rivals.BEFORE]
+        for place, method in enumerate(timed):
+            low, middle, high = np.nanquantile(run.values(setting, method, "cpu", group="seconds"), (0.05, 0.5, 0.95))
+            row[2].errorbar(middle, place, xerr=[[middle - low], [high - middle]], fmt="o", ms=5, lw=1.2,
+                            color=COLOURS[base(method)])  # fmt: skip
+        row[2].set_yticks(range(len(timed)), [base(method) for method in timed])
         row[2].set_xscale("log")
-        row[2].set_xlabel("seconds")
+        row[2].set_xlabel("seconds of one processor")
         row[2].set_title("(c)", fontsize=10)
         row[2].invert_yaxis()
     shared_legend(made, 7)
@@ -162,8 +176,9 @@ def over_budget(run: Run, path: Path) -> None:
 
 
 def end(run: Run, setting: str, method: str) -> tuple[float, float]:
-    """Median rows spent and median objective above the best of the trial."""
-    records = [record for record in run.of(setting, method) if record["error"] is None]
+    """Median rows spent and median objective above the best of the trial, over trials that all took part in."""
+    count = min(run.study.trials_of(name) for name in run.study.methods)
+    records = [record for record in run.of(setting, method)[:count] if record["error"] is None]
     best = best_cost(run, setting)
     above = [record["figures"]["cost"] - best[record["trial"]] for record in records]
     rows = [record["counts"]["residual_rows"] for record in records]

@@ -17,9 +17,9 @@ CONTROLS = {BEFORE: nominal, PLANES: plane_only, NULL_STEP: Method(null_step, se
 REFERENCES = {IPOPT: ipopt, SCIPY: scipy_least_squares}
 
 
-def at_budget(name: str, budget: int) -> str:
-    """What a population method is called at a budget of rows: "M2 swarm, 1e5"."""
-    return f"{name}, 1e{len(str(budget)) - 1}"
+def at_budget(name: str, budget: int | None) -> str:
+    """What a population method is called at a budget of rows: "M2 swarm, 1e5", or "M2 swarm, until it stops"."""
+    return f"{name}, until it stops" if budget is None else f"{name}, 1e{len(str(budget)) - 1}"
 
 
 def population(trials: int, budgets: tuple[int, ...] = BUDGETS) -> dict[str, Method]:

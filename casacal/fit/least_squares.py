@@ -420,6 +420,13 @@ class Status(Enum):
         "Spent its budget; such a method gives no sign of having arrived. Compare with lm; in Python, budget can be "
         "raised."
     )
+    STALLED = (
+        "Searched until nothing lowered the cost any more; such a method gives no sign of having arrived. Compare "
+        "with lm."
+    )
+    UNMOVED = (
+        "Found nothing better than the arm as drawn, which is what came back. Use lm; in Python, budget can be raised."
+    )
     TRUTH = "The truth of a simulation; nothing was estimated."
     NOMINAL = "The arm as drawn; nothing was estimated."
     UNSAID = "An estimate came back without a word on convergence. Compare with lm."
@@ -437,7 +444,7 @@ class Status(Enum):
     SOLVER = "The solver gave up before reaching its tolerance. Compare with lm; check units, signs and priors."
 
 
-FAILED = (Status.MAX_STEPS, Status.STUCK, Status.NOT_FINITE, Status.WORSE, Status.FAR, Status.SOLVER)
+FAILED = (Status.MAX_STEPS, Status.STUCK, Status.NOT_FINITE, Status.WORSE, Status.FAR, Status.SOLVER, Status.UNMOVED)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -12,16 +12,14 @@ from conftest import ROOT
 from filterpy.kalman import CubatureKalmanFilter
 from linear import Matrix, Weighing, as_symbols, random_linear
 from oracles import central_difference, cubature_step, posterior
-from scipy.optimize import differential_evolution, dual_annealing, least_squares
+from scipy.optimize import least_squares
 
 from casacal import (
     Parameter,
     Problem,
-    annealing,
     bind,
     calibrate,
     ekf,
-    evolution,
     ipopt,
     lm,
     load_problem,
@@ -30,7 +28,6 @@ from casacal import (
     sckf,
     sckf_lm,
     simulate,
-    swarm,
 )
 from casacal.errors import ProblemError
 from casacal.fit import null_step, plane_only, scipy_least_squares
@@ -125,71 +122,6 @@ def test_a_step_in_the_null_space_moves_the_tip_and_no_plane(hsr):
     wild_tips = one_face.problem.tips(wild.x, joints)
     assert tip_rms(without_rigid((wild_tips - tips[0]).ravel(), tips[0])) > 0.5
     np.testing.assert_array_equal(wild.x, null_step(one_face.problem, seed=4, size=300.0).x)
-
-
-POPULATION = {"annealing": annealing, "swarm": swarm, "evolution": evolution}
-
-
-@pytest.mark.long_unless("swarm", "evolution")
-@pytest.mark.parametrize("method", POPULATION.values(), ids=POPULATION)
-def test_population_methods_come_within_a_gap_inside_their_budget(method):
-    a, y, nominal, prior, noise = random_linear(12)
-    problem = Matrix(a / noise, y / noise, nominal, prior)
-    best = lm(problem).cost
-    result = method(problem, seed=1, budget=600_000)
-    assert best - 1e-9 <= result.cost <= best + 0.5  # half a unit of log posterior
-    assert result.residual_rows <= 600_000
-    assert result.status is Status.BUDGET
-    costs = result.trace["cost"]
-    assert (np.diff(costs) <= 0).all()
-    assert costs[-1] == pytest.approx(result.cost)
-    again = method(problem, seed=1, budget=600_000)
-    np.testing.assert_array_equal(result.x, again.x)
-    assert np.abs(method(problem, seed=2, budget=60_000).x - result.x).max() > 0
-    assert (np.abs(result.x - nominal) <= 4 * prior + 1e-12).all()
-    with pytest.raises(ProblemError, match="budget"):
-        method(problem, budget=3)
-
-
-def test_annealing_with_its_local_search_ends_at_the_minimum(corner_bound):
-    best = lm(corner_bound)
-    plain = annealing(corner_bound, seed=1, budget=60_000)
-    refined = annealing(corner_bound, seed=1, budget=60_000, local_search=True)
-    assert refined.jacobian_rows > corner_bound.rows
-    assert refined.residual_rows <= 60_000  # also when the budget ends in the middle of a refinement
-    assert best.cost <= refined.cost < best.cost + 0.1 * (plain.cost - best.cost)
-    linear = as_symbols(*random_linear(14))
-    assert annealing(linear, budget=60_000, local_search=True).cost == pytest.approx(lm(linear).cost, rel=1e-8)
-
-
-def test_population_methods_agree_with_scipy_called_directly():
-    a, y, nominal, prior, noise = random_linear(13)
-    problem = Matrix(a / noise, y / noise, nominal, prior)
-    candidates = 3000
-    direct = differential_evolution(
-        lambda p: problem.costs(problem.x0 + 4 * prior * p.T), [(-1, 1)] * 5, maxiter=candidates // 64 - 1, tol=0,
-        init=_same_start(3, 5), polish=False, vectorized=True, updating="deferred", rng=_after_start(3, 5),
-    )  # fmt: skip
-    ours = evolution(problem, seed=3, budget=candidates * problem.rows)
-    np.testing.assert_allclose(ours.x, problem.x0 + 4 * prior * direct.x, atol=1e-12)
-    direct = dual_annealing(
-        lambda p: problem.cost(problem.x0 + 4 * prior * p), [(-1, 1)] * 5, maxiter=candidates, maxfun=candidates,
-        no_local_search=True, x0=np.zeros(5), rng=np.random.default_rng(3),
-    )  # fmt: skip
-    ours = annealing(problem, seed=3, budget=candidates * problem.rows)
-    np.testing.assert_allclose(ours.x, problem.x0 + 4 * prior * direct.x, atol=1e-12)
-
-
-def _after_start(seed, n):
-    rng = np.random.default_rng(seed)
-    rng.uniform(-1, 1, size=(64, n))
-    return rng
-
-
-def _same_start(seed, n):
-    start = np.random.default_rng(seed).uniform(-1, 1, size=(64, n))
-    start[0] = 0.0
-    return start
 
 
 def test_running_out_of_steps_is_said(corner_bound):

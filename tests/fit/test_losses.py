@@ -66,17 +66,18 @@ def written_out(problem, x, loss):
 
 
 def test_all_ways_to_ask_for_the_cost_give_one_number(bound, loss):
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-0.2, 0.2, (3, bound.unknowns))
-    search = Search(bound, budget=10**6, width=4.0, loss=loss)
+    rng, free = np.random.default_rng(0), Metered(bound)
+    free.datum[:] = False  # nothing is placed, all is searched
+    points = rng.uniform(-0.8, 0.8, (3, bound.unknowns))
+    search = Search(free, loss=loss)
     for point, found in zip(points, search.costs(points), strict=True):
-        x = bound.x0 + 4.0 * bound.start_std * point
+        x = bound.x0 + bound.start_std * point
         expected = pytest.approx(written_out(bound, x, loss), rel=1e-12)
         assert found == expected
         assert bound.cost(x, loss) == expected
         assert Metered(bound).costs(x[None], loss)[0] == expected
         assert bound.normal(x, loss).cost + bound.prior_cost(x) == expected
-        slope = central_difference(lambda p: search.costs(p[None]), point, np.full(point.size, 1e-7))
+        slope = central_difference(lambda p: search.costs(p[None]), point, np.full(point.size, 4e-7))
         np.testing.assert_allclose(search.gradient(point), slope.ravel(), rtol=1e-4, atol=1e-3 * np.abs(slope).max())
 
 

@@ -18,6 +18,7 @@ from casacal.study.study_file import load_study
 FILES = sorted(path for path in (ROOT / "studies").glob("*.py") if "\ndef report(" in path.read_text(encoding="utf-8"))
 NAMES = [path.stem for path in FILES]
 REAL = {"real_arm", "real_arm_effects"}
+EXTRA = {"population": ("pymoo", "pyswarms")}  # packages that a study runs, and its report does without
 
 
 @pytest.fixture(params=FILES, ids=NAMES)
@@ -32,6 +33,8 @@ def file(request, monkeypatch):
 
 @pytest.mark.long_unless("what_sizes_mean")
 def test_a_study_runs_and_reports(file, tmp_path, capsys):
+    for package in EXTRA.get(file.stem, ()):
+        pytest.importorskip(package)
     few = "1" if file.stem == "real_arm_effects" else "2"  # five hundred contacts, and the whole check of each fit
     trials = ["--trials", few] if load_study(file).study is not None else []
     assert main(["study", str(file), "--quick", "--out", str(tmp_path), *trials]) == 0
