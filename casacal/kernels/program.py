@@ -67,6 +67,11 @@ def operations_of(function: ca.Function) -> tuple[list[Operation], list[list[int
     return operations, results
 
 
+def calls(function: ca.Function) -> bool:
+    """Whether an SX function calls others that CasADi does not write out: a rootfinder, a table, a callback."""
+    return any(function.instruction_id(k) == ca.OP_CALL for k in range(function.n_instructions()))
+
+
 def graph_data(function: ca.Function) -> dict[str, Any]:
     """Name, arguments, operations and results of an SX function; raises CasacalError for operations of other kinds."""
     try:
