@@ -10,6 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casacal.errors import ProblemError
 from casacal.kernels.losses import Loss
 from casacal.kernels.program import Program, calls, read_program
 from casacal.kernels.rows import Kernels, Lanes, lane_data
@@ -45,7 +46,17 @@ class Buffered:
         for i, array in enumerate(outputs):
             buffer.set_res(i, _flat(array))
         self._own.arrays = (inputs, outputs)
-        return evaluate
+
+        def evaluated() -> None:
+            try:
+                evaluate()
+            except RuntimeError as error:  # elementary operations never fail
+                why = " ".join(str(error).split()).rpartition(": ")[2].partition(". ")[0]
+                what = f"A function that the model calls, such as a rootfinder, failed: {why[:200]}"
+                fix = "Narrow the joint limits to where it has a value, or let it give one that is not a number"
+                raise ProblemError(what, fix) from error
+
+        return evaluated
 
     def feed(self, i: int, array: Array) -> None:
         """Read argument i from other memory from now on."""

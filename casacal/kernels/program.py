@@ -72,6 +72,14 @@ def calls(function: ca.Function) -> bool:
     return any(function.instruction_id(k) == ca.OP_CALL for k in range(function.n_instructions()))
 
 
+ALWAYS = {getattr(ca, f"OP_{name}") for name in "INPUT OUTPUT CONST ADD SUB MUL NEG SQ TWICE SIN COS".split()}
+
+
+def may_be_no_number(function: ca.Function) -> bool:
+    """Whether an SX function of finite arguments may give what is not a number, as roots, quotients and calls may."""
+    return any(function.instruction_id(k) not in ALWAYS for k in range(function.n_instructions()))
+
+
 def graph_data(function: ca.Function) -> dict[str, Any]:
     """Name, arguments, operations and results of an SX function; raises CasacalError for operations of other kinds."""
     try:

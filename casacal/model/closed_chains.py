@@ -10,7 +10,7 @@ import casadi as ca
 from casacal.errors import ProblemError
 from casacal.model.kinematics import Expression
 
-ALONG, THERE = 4, 4  # Newton's steps on the way from home to a posture, and then in it
+ALONG, THERE = 8, 4  # Newton's steps on the way from home to a posture, and then in it
 GRAINS = 2.0**40  # per rad or mm: far finer than what matters, far coarser than rounding
 CLOSED = 1e-6  # of a passive joint's value, and of 1 rad or mm: a loop that closes leaves steps much smaller than this
 

@@ -15,13 +15,14 @@ import casadi as ca
 import numpy as np
 
 from casacal.errors import CasacalError, ProblemError, came, said
-from casacal.kernels.program import graph_data
+from casacal.kernels.block_rows import Batch
+from casacal.kernels.program import graph_data, may_be_no_number
 from casacal.model.geometry import Direction, Frame, packed_symbols
 from casacal.model.joints import Conventions, Joint
 from casacal.model.kinematics import Expression, Product, chain, position, rigid, screw, slide
 from casacal.model.unknown import PRIOR_STD, Parameter, Unknown
 from casacal.user_code import line_of
-from casacal.values import FrozenMapping, Value
+from casacal.values import Array, FrozenMapping, Rows, Value
 
 Triple = tuple[float, float, float]
 
@@ -90,6 +91,9 @@ class Screws:
         return found
 
 
+OFF, ARMS = 3.0, 8  # standard deviations by which so many other arms differ from the drawn one
+
+
 @dataclass(frozen=True, eq=False)
 class TracedPose(Value):
     """`pose(p, q)` as a graph: the parameters' values, by key, and q give the factors of the 4x4 flange pose (mm).
@@ -133,15 +137,38 @@ class TracedPose(Value):
         return int(self.graph.size1_in(self.graph.n_in() - 1))
 
     @cached_property
+    def closed(self) -> Callable[[Array], Rows]:
+        """In which postures (N, n) the pose is a number (N,), of the arm as drawn and of arms that differ from it."""
+        if not may_be_no_number(self.graph):
+            return lambda joints: np.ones(len(joints), dtype=bool)
+        q, rng, poses = ca.SX.sym("q", self.joints), np.random.default_rng(0), []
+        for size in (0.0, *[OFF] * ARMS):
+            p = {
+                key: each.at(
+                    ca.DM(np.asarray(each.nominal)), ca.DM(size * each.start_stds * rng.choice((-1, 1), each.size))
+                )
+                for key, each in self.unknowns.items()
+            }
+            poses.append(ca.vec(ca.SX(self(SimpleNamespace(**p), q))))
+        batch = Batch(ca.Function("closed", [q], [ca.densify(ca.vertcat(*poses))]))
+        return lambda joints: np.isfinite(batch(joints)[0]).all(axis=1)
+
+    @cached_property
     def levers(self) -> ca.Function:
         """q -> derivative (3, n) of the flange's origin by the joint values, mm, of the arm as drawn."""
         q = ca.SX.sym("q", self.joints)
         return ca.Function("levers", [q], [ca.densify(ca.jacobian(position(self.at_drawn(q)), q))])
 
-    def require_rigid(self, owner: str) -> None:
-        """Raise ProblemError where the arm as drawn stretches, bends or mirrors its flange in one of three postures."""
-        for q in np.random.default_rng(0).uniform(-1, 1, (3, self.joints)):
-            pose = np.array(ca.DM(self.at_drawn(ca.DM(q))))
+    def require_rigid(self, owner: str, middle: Array) -> None:
+        """Raise ProblemError where the arm as drawn stretches, bends or mirrors its flange, amid the limits or nearby.
+
+        Where a loop does not close the pose is not a number, and nothing is said of it here.
+        """
+        for q in (*np.random.default_rng(0).uniform(-1, 1, (3, self.joints)), middle):
+            try:
+                pose = np.array(ca.DM(self.at_drawn(ca.DM(q))))
+            except RuntimeError:  # of a function that is called
+                continue
             turn = pose[:3, :3]
             bent = np.abs(turn.T @ turn - np.eye(3)).max()
             if bent > RIGID:
