@@ -38,7 +38,7 @@ def row_kernels(slopes: ca.Function, backend: str | None = None) -> Kernels:
     if requested not in BACKENDS:
         raise ProblemError(f"There is no back end '{requested}'", f"Known: {', '.join(BACKENDS)}")
     if calls(slopes):
-        reason = "the model calls a function that is not elementary, such as a rootfinder, a table or a Callback, which CasADi evaluates and differentiates"
+        reason = "the model calls a rootfinder, a table or a Callback, which CasADi evaluates and differentiates itself"
         if requested == "c":
             raise ProblemError(f"The back end c cannot be used: {reason}", "Use blocks, or auto")
         _notice(reason)

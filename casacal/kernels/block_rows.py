@@ -245,7 +245,10 @@ class BlockKernels(Kernels):
 
     def _built(self, name: str, width: int) -> ca.Function:
         if name.startswith("prepared"):  # p -> the values of parameters alone
-            program, p = self._residual if name.endswith("residual") else self._program, ca.MX.sym("p", self._parameters)
+            program, p = (
+                self._residual if name.endswith("residual") else self._program,
+                ca.MX.sym("p", self._parameters),
+            )
             prepared = replayed(program, program.once, p, ca.MX(1, len(program.lanes)))
             return ca.Function("prepared", [p], [ca.vertcat(*prepared)])
         o, d, columns = self._columns(name in ("residual", "cost"), width)
@@ -280,6 +283,7 @@ class CalledKernels(BlockKernels):
         return Lanes(len(data), blocked(data.T, repeat=True), blocked(1.0 / noise.T))
 
     def _prepared(self, name: str, p: Array) -> Array:
+        del name
         return np.ascontiguousarray(p, dtype=np.float64)
 
     def _columns(self, residual: bool, width: int) -> tuple[ca.MX, ca.MX, list[ca.MX]]:

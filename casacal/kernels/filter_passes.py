@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from casacal.kernels.block_rows import Buffered, mapped, replayed
 from casacal.kernels.libraries import CompilerError, load_library
 from casacal.kernels.native_rows import PAD, filter_source
-from casacal.kernels.program import calls, read_program
+from casacal.kernels.program import Role, calls, read_program
 from casacal.linalg import LEAST_LEFT
 from casacal.values import Array
 
@@ -44,12 +44,10 @@ class Cubature:
 
     def __init__(self, residual: ca.Function, backend: str) -> None:
         # points take turns as the last argument; where the residual calls others, there are no operations to replay
-        self._mapped, self._program = None, None
-        if calls(residual):
-            z, c, d = (ca.SX.sym(name, residual.numel_in(i)) for i, name in enumerate("zcd"))
-            self._mapped = ca.Function("mapped", [c, d, z], residual.call([z, c, d]))
-        else:
-            self._program = read_program(residual, ("lane", "once", "once"), ahead=False)
+        z, c, d = (ca.SX.sym(name, residual.numel_in(i)) for i, name in enumerate("zcd"))
+        self._turned = ca.Function("turned", [c, d, z], residual.call([z, c, d]))
+        roles: list[Role] = ["lane", "once", "once"]
+        self._program = None if calls(residual) else read_program(residual, roles, ahead=False)
         self._unknowns, self._components = residual.numel_in(0), residual.numel_out(0)
         self._once = residual.numel_in(1) + residual.numel_in(2)
         self._steps: dict[tuple[int, int], ca.Function] = {}
@@ -140,7 +138,7 @@ class Cubature:
     def _residual(self, component: int, points: ca.MX, once: ca.MX) -> ca.MX:
         """One component of the residual, a column over points of z."""
         if self._program is None:
-            return mapped(self._mapped, once, points)[component]
+            return mapped(self._turned, once, points)[component]
         columns = ca.horzsplit(points)
         lanes = ca.horzcat(*(columns[self._program.operations[value].element[1]] for value in self._program.lanes))
         (e,) = replayed(self._program, [self._program.outputs[0][component]], once, lanes)

@@ -39,30 +39,28 @@ def passive(
 
     """
     q = q if isinstance(q, (ca.SX, ca.MX, ca.DM)) else ca.vertcat(*q)
-    u, there, first, at = ca.SX.sym("u", len(start)), ca.SX.sym("q", len(home)), ca.DM(start), ca.DM(home)
+    u, there, at = ca.SX.sym("u", len(start)), ca.SX.sym("q", len(home)), ca.DM(home)
     errors = ca.densify(ca.SX(loop(u, there)))
-    for what, count, wanted in (
-        ("closure errors", errors.numel(), f"{len(start)} passive joints at its start"),
-        ("joint values", q.numel(), f"{len(home)} at its home"),
+    for what, count, wanted, where in (
+        ("closure errors", errors.numel(), len(start), "passive joints at its start"),
+        ("joint values", q.numel(), len(home), "at its home"),
     ):
-        if count != int(wanted.split()[0]):
-            raise ProblemError(f"A loop has {count} {what} and {wanted}", "Give as many")
-    own = {symbol.element_hash() for symbol in (*u.elements(), *there.elements())}
-    free = ca.vertcat(*(symbol for symbol in ca.symvar(errors) if symbol.element_hash() not in own))  # of p
-    slope = ca.jacobian(errors, u)
-    inputs = [u, there, free] if free.numel() else [u, there]
-    given = [free] if free.numel() else []
-    step = ca.Function("step", inputs, [ca.solve(slope, errors)])
-    side = ca.Function("side", inputs, [ca.det(slope)])
+        if count != wanted:
+            raise ProblemError(f"A loop has {count} {what} and {wanted} {where}", "Give as many")
+    own = {hash(symbol) for symbol in (*u.elements(), *there.elements())}
+    others = [symbol for symbol in ca.symvar(errors) if hash(symbol) not in own]  # of p
+    slope, free = ca.jacobian(errors, u), [ca.vertcat(*others)] if others else []
+    step = ca.Function("step", [u, there, *free], [ca.solve(slope, errors)])
+    side = ca.Function("side", [u, there, *free], [ca.det(slope)])
+    root: Expression = ca.DM(start)
     for k in range(1, ALONG + THERE + 1):
-        here = at + min(k / ALONG, 1.0) * (q - at)
-        first = first - step(first, here, *given)
-    # Steps from a value that counts as a constant, as the root of a floor does, leave the implicit function's
-    # derivatives: one step the first, two the second and the third.
-    root = ca.floor(first * GRAINS) / GRAINS
-    last = step(root, q, *given)
+        root = root - step(root, at + min(k / ALONG, 1.0) * (q - at), *free)
+    # A floor counts as a constant. One step from a constant root has the implicit function's first derivative, and two
+    # have the second and the third.
+    root = ca.floor(root * GRAINS) / GRAINS
+    last = step(root, q, *free)
     root = root - last
-    root = root - step(root, q, *given)
+    root = root - step(root, q, *free)
     is_closed = ca.mmax(ca.fabs(last) - CLOSED * (1 + ca.fabs(root))) < 0
-    is_here = side(root, q, *given) * side(ca.DM(start), at, *given) > 0
+    is_here = side(root, q, *free) * side(ca.DM(start), at, *free) > 0
     return ca.if_else(ca.logic_and(is_closed, is_here), root, float("nan"))

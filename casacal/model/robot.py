@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import casadi as ca
 import numpy as np
 
-from casacal.errors import CasacalError, ProblemError, came
+from casacal.errors import CasacalError, ProblemError, SamplesError, came
 from casacal.model.dh_table import DHTable, Stds, read_dh_file
 from casacal.model.joints import Conventions, Joint, joints_of
 from casacal.model.kinematics import Expression
@@ -21,6 +21,7 @@ from casacal.values import Array, FrozenMapping, Rows, Value, alike, read_only, 
 
 PoseFunction = Callable[[Any, Expression], Expression]
 if TYPE_CHECKING:
+    from casacal.data.samples import Samples
     from casacal.model.urdf import UrdfChain
 
 Arm: TypeAlias = "DHTable | Screws | UrdfChain"
@@ -310,12 +311,21 @@ def random_joints(robot: Robot, count: int, rng: np.random.Generator) -> Array:
     """
     found = rng.uniform(*robot.limits, size=(count, len(robot.axes)))
     for _ in range(DRAWS):
-        if not (missing := np.flatnonzero(~robot.traced.closed(found))).size:
+        if not (missing := np.flatnonzero(~robot.traced.closed(found, nearby=True))).size:
             return found
         found[missing] = rng.uniform(*robot.limits, size=(missing.size, len(robot.axes)))
     what = f"The pose of '{robot.name}' is a number in hardly any posture between its joint limits"
     fix = "Look at home and start of its loops and at what stands under roots and fractions, or narrow the limits"
     raise ProblemError(what, fix)
+
+
+def refuse_open(robot: Robot, rows: Samples, closed: Rows) -> None:
+    """Raise SamplesError that names the rows in which the pose is not a number, where there are any."""
+    lines = [rows.lines[row] for row in np.flatnonzero(~closed).tolist()]
+    if lines:
+        what = f"the pose of '{robot.name}' is not a number at these joint values, as of a loop that does not close"
+        fix = "Check them; where they are right, lengths, or home and start of a loop, are not"
+        raise SamplesError(rows.file, what, fix, line=lines[0], also=lines[1:])
 
 
 def inside_limits(robot: Robot, joints: Array) -> Rows:

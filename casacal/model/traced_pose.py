@@ -136,22 +136,25 @@ class TracedPose(Value):
         """Number of joint values in q."""
         return int(self.graph.size1_in(self.graph.n_in() - 1))
 
+    def closed(self, joints: Array, *, nearby: bool = False) -> Rows:
+        """In which postures (N, n) the pose of the arm as drawn is a number (N,), and of arms as priors allow them."""
+        if self._poses is None:
+            return np.ones(len(joints), dtype=bool)
+        return np.asarray(np.isfinite(self._poses(joints)[0][:, : None if nearby else 16]).all(axis=1))
+
     @cached_property
-    def closed(self) -> Callable[[Array], Rows]:
-        """In which postures (N, n) the pose is a number (N,), of the arm as drawn and of arms that differ from it."""
+    def _poses(self) -> Batch | None:
+        """q -> poses of the arm as drawn and of others; None where there are none but numbers."""
         if not may_be_no_number(self.graph):
-            return lambda joints: np.ones(len(joints), dtype=bool)
-        q, rng, poses = ca.SX.sym("q", self.joints), np.random.default_rng(0), []
+            return None
+        q, rng, poses = ca.SX.sym("q", self.joints), np.random.default_rng(0), list[ca.SX]()
         for size in (0.0, *[OFF] * ARMS):
-            p = {
-                key: each.at(
-                    ca.DM(np.asarray(each.nominal)), ca.DM(size * each.start_stds * rng.choice((-1, 1), each.size))
-                )
-                for key, each in self.unknowns.items()
-            }
-            poses.append(ca.vec(ca.SX(self(SimpleNamespace(**p), q))))
-        batch = Batch(ca.Function("closed", [q], [ca.densify(ca.vertcat(*poses))]))
-        return lambda joints: np.isfinite(batch(joints)[0]).all(axis=1)
+            off = {key: size * each.start_stds * rng.choice((-1, 1), each.size) for key, each in self.unknowns.items()}
+            at = (
+                (key, each.at(ca.DM(np.asarray(each.nominal)), ca.DM(off[key]))) for key, each in self.unknowns.items()
+            )
+            poses.append(ca.vec(ca.SX(self(SimpleNamespace(**dict(at)), q))))
+        return Batch(ca.Function("poses", [q], [ca.densify(ca.vertcat(*poses))]))
 
     @cached_property
     def levers(self) -> ca.Function:
