@@ -16,7 +16,7 @@ import numpy as np
 
 from casacal.errors import CasacalError, ProblemError, came, said
 from casacal.kernels.block_rows import Batch
-from casacal.kernels.program import graph_data, may_be_no_number
+from casacal.kernels.program import Program, calls, evaluate, graph_data, may_be_no_number, read_program
 from casacal.model.geometry import Direction, Frame, packed_symbols
 from casacal.model.joints import Conventions, Joint
 from casacal.model.kinematics import Expression, Product, chain, position, rigid, screw, slide
@@ -138,23 +138,30 @@ class TracedPose(Value):
 
     def closed(self, joints: Array, *, nearby: bool = False) -> Rows:
         """In which postures (N, n) the pose of the arm as drawn is a number (N,), and of arms as priors allow them."""
-        if self._poses is None:
+        if not may_be_no_number(self.graph):
             return np.ones(len(joints), dtype=bool)
-        return np.asarray(np.isfinite(self._poses(joints)[0][:, : None if nearby else 16]).all(axis=1))
+        values = self._arms if nearby else [each[:, :1] for each in self._arms]
+        if self._program is None:  # it calls other functions, which know rows alone
+            arms = zip(*(each.T for each in values), strict=True)
+            found = [np.hstack(Batch(self.graph)(*arm, joints)) for arm in arms]
+            return np.asarray(np.isfinite(found).all(axis=(0, 2)))
+        given = [*(each[..., None] for each in values), joints.T[:, None]]
+        return np.asarray(np.isfinite(evaluate(self._program, self._program.results, given)).all(axis=(0, 1)))
 
     @cached_property
-    def _poses(self) -> Batch | None:
-        """q -> poses of the arm as drawn and of others; None where there are none but numbers."""
-        if not may_be_no_number(self.graph):
-            return None
-        q, rng, poses = ca.SX.sym("q", self.joints), np.random.default_rng(0), list[ca.SX]()
-        for size in (0.0, *[OFF] * ARMS):
-            off = {key: size * each.start_stds * rng.choice((-1, 1), each.size) for key, each in self.unknowns.items()}
-            at = (
-                (key, each.at(ca.DM(np.asarray(each.nominal)), ca.DM(off[key]))) for key, each in self.unknowns.items()
-            )
-            poses.append(ca.vec(ca.SX(self(SimpleNamespace(**dict(at)), q))))
-        return Batch(ca.Function("poses", [q], [ca.densify(ca.vertcat(*poses))]))
+    def _program(self) -> Program | None:
+        return None if calls(self.graph) else read_program(self.graph, ["lane"] * self.graph.n_in(), ahead=False)
+
+    @cached_property
+    def _arms(self) -> list[Array]:
+        """Values of each parameter (numbers, 1 + ARMS): of the arm as drawn, and others OFF deviations off."""
+        rng, found = np.random.default_rng(0), []
+        for each in self.unknowns.values():
+            off = OFF * each.start_stds[:, None] * rng.choice((-1.0, 0.0, 1.0), (each.size, 1 + ARMS))
+            off[:, 0] = 0.0
+            values = (each.packed(each.at(ca.DM(np.asarray(each.nominal)), ca.DM(local))) for local in off.T)
+            found.append(np.column_stack([np.array(ca.DM(value)).ravel(order="F") for value in values]))
+        return found
 
     @cached_property
     def levers(self) -> ca.Function:

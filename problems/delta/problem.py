@@ -6,7 +6,7 @@ from casacal import Distance, Joint, Parameter, Problem, Robot, deg
 from casacal.model import passive
 from casacal.model.kinematics import translate
 
-ATTACHED = 43.88  # mm from the platform's middle to its joints, 76 / sqrt(3): rows see only base less platform
+ATTACHED = 76.0 / 3**0.5  # mm from the middle of the platform to its joints; rows see only base less platform
 HEIGHT = 1500.0  # mm of the motors over the belt, where the base frame lies
 HOME, MIDDLE = deg(10, 10, 10), (0.0, 0.0, -1160.0)
 
@@ -41,7 +41,7 @@ robot = Robot(
     joints=[Joint("revolute", *deg(-40, 70))] * 3,
     pose=pose,
     parameters={
-        "base": Parameter((163.68,) * 3, unit="mm", prior_std=0.3, labels=legs),  # 567 / sqrt(12)
+        "base": Parameter((567.0 / 12**0.5,) * 3, unit="mm", prior_std=0.3, labels=legs),
         "azimuth": Parameter(deg(-90, 30, 150), unit="rad", prior_std=1e-3, labels=legs),
         "arm": Parameter((524.0,) * 3, unit="mm", prior_std=0.3, labels=legs),
         "rod": Parameter((1244.0,) * 3, unit="mm", prior_std=0.3, labels=legs),
