@@ -52,10 +52,10 @@ robot = Robot(
     },
 )
 
-# A stepped plate on the table before the arm: row C lies 60 mm higher than A and B. Rows tell where it is.
-HEIGHTS = {"A": 0.0, "B": 0.0, "C": 60.0}
+# A stepped plate on the table before the arm: row C lies 50 mm higher than A and B. Rows tell where it is.
+HEIGHTS = {"A": 0.0, "B": 0.0, "C": 50.0}
 holes = {f"{row}{k + 1}": (35.0 * i, 45.0 * k, HEIGHTS[row]) for i, row in enumerate(HEIGHTS) for k in range(3)}
-plate = Frame(translate(-210, 45, -75).full().tolist(), prior_std=math.inf)
+plate = Frame(translate(-230, 45, -75).full().tolist(), prior_std=math.inf)
 problem = Problem(
     robot, KnownPoint(noise_std=0.03, tool=tool_point(20, 0, -60, prior_std=1.0), points=holes, station=plate)
 )
