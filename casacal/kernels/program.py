@@ -72,8 +72,11 @@ def calls(function: ca.Function) -> bool:
     return any(function.instruction_id(k) == ca.OP_CALL for k in range(function.n_instructions()))
 
 
-ALWAYS = {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_NEG, ca.OP_SQ, ca.OP_TWICE}
-ALWAYS |= {ca.OP_SIN, ca.OP_COS}  # what gives a number for numbers
+ALWAYS = {
+    *(ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_NEG, ca.OP_SQ, ca.OP_TWICE),
+    *(ca.OP_SIN, ca.OP_COS),
+}
+"""Operations that give numbers for numbers."""
 
 
 def may_be_no_number(function: ca.Function) -> bool:
