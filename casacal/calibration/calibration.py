@@ -452,12 +452,13 @@ class Calibration(Value):
         motion, (_, tips, slopes) = self.motion, self.workspace
         arm, covariance = motion.arm, motion.covariance
         stds = np.sqrt(np.diagonal(covariance))
-        tool = np.array([j for j in tool_unknowns(arm, motion.x) if arm.units[j] == "mm"], dtype=int)
+        tool = [j for j in tool_unknowns(arm, motion.x) if arm.units[j] == "mm" and math.isfinite(stds[j])]
         hidden = [j for j in tool if known_from(stds[j], float(arm.prior_std[j])) != "samples"]
         if not hidden:
             return None
-        with_tool = covariance[tool]
-        known = covariance - with_tool.T @ np.linalg.solve(with_tool[:, tool], with_tool)
+        held = np.where(np.isfinite(covariance), covariance, 0.0)  # what is lost does not move the tip
+        with_tool = held[tool]
+        known = held - with_tool.T @ np.linalg.solve(with_tool[:, tool], with_tool)
         field = without_rigid(slopes, tips)
         now, tip = (tip_rms(tip_stds(each, field, motion.off).ravel()) for each in (covariance, known))
         names, std = tuple(arm.names[j] for j in hidden), float(stds[hidden].max())

@@ -57,7 +57,10 @@ def _images(fit: BoundProblem) -> list[tuple[Array, Array, float]]:
     joints = workspace_joints(robot, poses=POSTURES)
     drawn = fit.tips(fit.x0, joints)
     tips = fit.tips(fit.x0, (signs[:, None] * joints + offsets[:, None]).reshape(-1, len(robot.axes)))
-    off, moved_off = misfits(tips.reshape(len(signs), POSTURES, 3), drawn)
+    tips = tips.reshape(len(signs), POSTURES, 3)
+    closed = np.isfinite(tips).all(axis=(1, 2))  # the loops of a closed chain may have no such image
+    signs, offsets = signs[closed], offsets[closed]
+    off, moved_off = misfits(tips[closed], drawn)
     spread = math.sqrt(float(((drawn - drawn.mean(axis=0)) ** 2).sum(axis=1).mean()))
     found = np.flatnonzero((off <= AKIN * spread) & (moved_off >= max(APART, 2 * AKIN * spread)))
     changes = (signs[found] < 0).sum(axis=1) + (offsets[found] > 0).sum(axis=1)

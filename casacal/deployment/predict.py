@@ -29,7 +29,7 @@ from casacal.files import MADE, write_text
 from casacal.model.instrument import Instrument
 from casacal.model.kinematics import quaternions_of, stacked_poses, turns_of
 from casacal.model.problem_file import ProblemFile
-from casacal.model.robot import joint_values
+from casacal.model.robot import joint_values, refuse_open
 from casacal.model.term import Site
 from casacal.model.trace import RowModel
 from casacal.uncertainty.tip_error import tip_stds, up_to_base, workspace_joints
@@ -240,7 +240,8 @@ def predict(
 
     Raises RefusedResultError for a result that is not to be used, unless forced. Raises CasacalError for standard
     deviations of the nominal arm, of a result that holds no covariance, or of one that is not to be used, and for
-    readings of a dial of which no row says when it was set to zero.
+    readings of a dial of which no row says when it was set to zero. Raises SamplesError for rows in which a loop of
+    the arm does not close.
 
     """
     result = arm_from(result)
@@ -258,6 +259,7 @@ def predict(
     data = whole_rows(joints.joints, n, model.names, {**read, **extra.columns})
     known, constants = n + len(instrument.columns) + len(instrument.known_columns), row_constants(result, problem)
     poses = stacked_poses(model.batch.pose(z, constants, data)[0])
+    refuse_open(problem.robot, joints, np.isfinite(poses).all(axis=(1, 2)))
     positions = model.batch.tip(z, constants, data)[0] if frame == "tip" else poses[:, :3, 3]
     found, unseen = result.found.values(alone=not model.terms), tuple[str, ...]()
     zeros = RowZeros.of(instrument, joints, found) if frame == "tip" else None

@@ -24,6 +24,7 @@ from casacal.kernels.losses import Loss
 from casacal.kernels.native_rows import NativeKernels, NativeNormal, PackedPieces
 from casacal.model.kinematics import stacked_poses
 from casacal.model.problem import Problem
+from casacal.model.robot import refuse_open
 from casacal.model.term import Survey
 from casacal.threads import thread_count
 from casacal.values import EMPTY, Array, FrozenMapping, Index, Rows, alike, read_only, short
@@ -84,12 +85,14 @@ def bind(
 
     Raises ProblemError when the number of sample sets is wrong, a label has too few rows for its own unknowns, a row
     has a derivative that is not finite at the nominal, constraints cannot be met together or say the same, or there are
-    more unknowns than `MOST_UNKNOWNS`.
+    more unknowns than `MOST_UNKNOWNS`. Raises SamplesError for rows that are absurd, or in which the nominal arm's
+    loops do not close.
 
     """
     for some in (sets := sets_of(samples)):
         if isinstance(some, Samples):  # what is none, is refused below
             _refuse_absurd(some)
+            refuse_open(problem.robot, some, problem.robot.traced.closed(some.joints))
     slots = make_slots(problem, sets)
     bound = BoundProblem(problem, slots, sets, backend, threads, known=stated_prior(problem.constraints, slots))
     if bound.unknowns and not np.isfinite(bound.normal(bound.x0).gradient).all():

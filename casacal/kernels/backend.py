@@ -9,10 +9,10 @@ import os
 import casadi as ca
 
 from casacal.errors import ProblemError
-from casacal.kernels.block_rows import BlockKernels
+from casacal.kernels.block_rows import BlockKernels, CalledKernels
 from casacal.kernels.libraries import CompilerError
 from casacal.kernels.native_rows import NativeKernels
-from casacal.kernels.program import Program, Role, read_program
+from casacal.kernels.program import Program, Role, calls, read_program
 from casacal.kernels.rows import Kernels
 
 BACKENDS = ("auto", "c", "blocks")
@@ -28,6 +28,8 @@ def row_kernels(slopes: ca.Function, backend: str | None = None) -> Kernels:
         slopes: SX function to e (m) and its derivative row by row (m * z); all arguments but the last form p.
         backend: a name of `BACKENDS`, or None for the environment's, or auto.
 
+    A graph that calls other functions is evaluated by CasADi, with the derivatives that it has of them.
+
     Raises ProblemError for a back end that does not exist, or that was asked for and cannot serve, and for a graph with
     operations that are not elementary.
 
@@ -35,6 +37,12 @@ def row_kernels(slopes: ca.Function, backend: str | None = None) -> Kernels:
     requested = backend if backend is not None else os.environ.get(VARIABLE, "auto")
     if requested not in BACKENDS:
         raise ProblemError(f"There is no back end '{requested}'", f"Known: {', '.join(BACKENDS)}")
+    if calls(slopes):
+        reason = "the model calls a rootfinder, a table or a Callback, which CasADi evaluates and differentiates itself"
+        if requested == "c":
+            raise ProblemError(f"The back end c cannot be used: {reason}", "Use blocks, or auto")
+        _notice(reason)
+        return CalledKernels(slopes)
     program = _read(slopes.serialize())
     parameters = sum(slopes.numel_in(i) for i in range(slopes.n_in() - 1))
     if requested != "blocks":

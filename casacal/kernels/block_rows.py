@@ -10,8 +10,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casacal.errors import ProblemError
 from casacal.kernels.losses import Loss
-from casacal.kernels.program import Program, read_program
+from casacal.kernels.program import Program, calls, read_program
 from casacal.kernels.rows import Kernels, Lanes, lane_data
 from casacal.threads import shared_out
 from casacal.values import Array
@@ -45,7 +46,17 @@ class Buffered:
         for i, array in enumerate(outputs):
             buffer.set_res(i, _flat(array))
         self._own.arrays = (inputs, outputs)
-        return evaluate
+
+        def evaluated() -> None:
+            try:
+                evaluate()
+            except RuntimeError as error:  # elementary operations never fail
+                why = " ".join(str(error).split()).rpartition(": ")[2].partition(". ")[0]
+                what = f"A function that the model calls, such as a rootfinder, failed: {why[:200]}"
+                fix = "Narrow the joint limits to where it has a value, or let it give one that is not a number"
+                raise ProblemError(what, fix) from error
+
+        return evaluated
 
     def feed(self, i: int, array: Array) -> None:
         """Read argument i from other memory from now on."""
@@ -85,6 +96,16 @@ def replayed(program: Program, values: Sequence[int], p: ca.MX, d: ca.MX, *, is_
             known[value] = ca.MX.binary(operation.op, one, other)
     ones = ca.MX.ones(d.shape[0], 1)
     return [known[v] if known[v].shape == ones.shape else known[v] * ones for v in values]
+
+
+def mapped(function: ca.Function, p: ca.MX, d: ca.MX) -> list[ca.MX]:
+    """All outputs of a function, a column each, at its first arguments p and rows of its last one (width, k)."""
+    last = function.n_in() - 1
+    starts = np.cumsum([0, *(function.numel_in(i) for i in range(last))]).tolist()
+    over = function.map("mapped", "serial", d.shape[0], list(range(last)), [])
+    found = over.call([*ca.vertsplit(p, starts), d.T])
+    rows = (ca.reshape(each, each.numel() // d.shape[0], d.shape[0]) for each in found)
+    return [column for each in rows for column in ca.horzsplit(each.T)]
 
 
 class Batch:
@@ -216,15 +237,22 @@ class BlockKernels(Kernels):
             self._functions[name, width] = Buffered(self._built(name, width))
         return self._functions[name, width]
 
+    def _columns(self, residual: bool, width: int) -> tuple[ca.MX, ca.MX, list[ca.MX]]:
+        """Prepared values, lanes, and a column for each result, or for each residual alone."""
+        program = self._residual if residual else self._program
+        o, d = ca.MX.sym("o", len(program.once)), ca.MX.sym("d", width, len(program.lanes))
+        return o, d, replayed(program, program.results, o, d, is_prepared=True)
+
     def _built(self, name: str, width: int) -> ca.Function:
-        program = self._residual if name.endswith(("residual", "cost")) else self._program
         if name.startswith("prepared"):  # p -> the values of parameters alone
-            p = ca.MX.sym("p", self._parameters)
+            program, p = (
+                self._residual if name.endswith("residual") else self._program,
+                ca.MX.sym("p", self._parameters),
+            )
             prepared = replayed(program, program.once, p, ca.MX(1, len(program.lanes)))
             return ca.Function("prepared", [p], [ca.vertcat(*prepared)])
-        o, d = ca.MX.sym("o", len(program.once)), ca.MX.sym("d", width, len(program.lanes))
+        o, d, columns = self._columns(name in ("residual", "cost"), width)
         w = ca.MX.sym("w", width, self.components)
-        columns = replayed(program, program.results, o, d, is_prepared=True)
         e, j = columns[: self.components], columns[self.components :]
         if name == "residual":
             return ca.Function(name, [o, d], [ca.horzcat(*e)])
@@ -237,6 +265,31 @@ class BlockKernels(Kernels):
             weighted = ca.horzcat(*j[m * self.unknowns : (m + 1) * self.unknowns], e[m]) * w[:, m]
             total += product(weighted.T, weighted)
         return ca.Function(name, [o, d, w], [total])
+
+
+class CalledKernels(BlockKernels):
+    """The same for a graph that calls other functions: rows are mapped, as there are no operations to replay."""
+
+    def __init__(self, slopes: ca.Function) -> None:
+        inputs = [ca.SX.sym("i", slopes.sparsity_in(i)) for i in range(slopes.n_in())]
+        self._slopes, self._alone = slopes, ca.Function("residual", inputs, slopes.call(inputs)[:1])
+        self._parameters = sum(slopes.numel_in(i) for i in range(slopes.n_in() - 1))
+        self.components = slopes.numel_out(0)
+        self.unknowns = sum(slopes.numel_out(i) for i in range(1, slopes.n_out())) // self.components
+        self._functions: dict[tuple[str, int], Buffered] = {}
+
+    def lanes(self, data: Array, noise: Array) -> Lanes:
+        """Rows of data (n, columns) with standard deviations (n, m), the data as they are."""
+        return Lanes(len(data), blocked(data.T, repeat=True), blocked(1.0 / noise.T))
+
+    def _prepared(self, name: str, p: Array) -> Array:
+        del name
+        return np.ascontiguousarray(p, dtype=np.float64)
+
+    def _columns(self, residual: bool, width: int) -> tuple[ca.MX, ca.MX, list[ca.MX]]:
+        function = self._alone if residual else self._slopes
+        o, d = ca.MX.sym("o", self._parameters), ca.MX.sym("d", width, function.numel_in(function.n_in() - 1))
+        return o, d, mapped(function, o, d)
 
 
 class CurvatureKernel:
@@ -263,12 +316,13 @@ class CurvatureKernel:
         self._rows, self._columns = (np.array(index, dtype=np.intp) for index in pattern.get_triplet())
         bent = [ca.project(bend, pattern).nz[:] for bend in bends]
         outputs = [ca.densify(each) for each in ca.cse([e, slopes.T, ca.vertcat(*bent, ca.SX(0, 1))])]
-        self._program = read_program(ca.Function("curved", [v, c, d], outputs), ("once", "once", "lane"))
+        self._function = ca.Function("curved", [v, c, d], outputs)
+        self._program = None if calls(self._function) else read_program(self._function, ("once", "once", "lane"))
         self._built: dict[int, Buffered] = {}
 
     def lanes(self, data: Array, noise: Array) -> Lanes:
         """Rows of data (n, columns) with standard deviations (n, m) of their residuals, packed once for all calls."""
-        d = lane_data(self._program, data)
+        d = data.T if self._program is None else lane_data(self._program, data)
         return Lanes(len(data), blocked(d, repeat=True), blocked(1.0 / noise.T))
 
     def __call__(
@@ -310,9 +364,10 @@ class CurvatureKernel:
     def _block(self, width: int) -> ca.Function:
         """(p, d, w) -> weighted slopes and residual by component, entries of the bend; of one block."""
         z, count = self.unknowns, self._rows.size
-        p = ca.MX.sym("p", z + self._constants)
-        d, w = ca.MX.sym("d", width, len(self._program.lanes)), ca.MX.sym("w", width, self.components)
-        columns = ca.horzcat(*replayed(self._program, self._program.results, p, d))
+        p, w, program = ca.MX.sym("p", z + self._constants), ca.MX.sym("w", width, self.components), self._program
+        d = ca.MX.sym("d", width, self._function.numel_in(2) if program is None else len(program.lanes))
+        found = mapped(self._function, p, d) if program is None else replayed(program, program.results, p, d)
+        columns = ca.horzcat(*found)
         e, j, bent = ca.horzsplit(columns, [0, self.components, self.components * (z + 1), columns.shape[1]])
         weighted, bend = [], ca.MX.zeros(count, 1)
         for m in range(self.components):
@@ -331,6 +386,8 @@ class Columnwise:
     def _kernels(self) -> BlockKernels:
         """Built when many rows come for the first time, which takes longer than few rows do."""
         function = self._batch.function
+        if calls(function):
+            return CalledKernels(function)
         program = read_program(function, ("once", "once", "lane"), ahead=False)
         return BlockKernels(program, function.numel_in(0) + function.numel_in(1))
 

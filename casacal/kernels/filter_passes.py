@@ -12,10 +12,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.kernels.block_rows import Buffered, replayed
+from casacal.kernels.block_rows import Buffered, mapped, replayed
 from casacal.kernels.libraries import CompilerError, load_library
 from casacal.kernels.native_rows import PAD, filter_source
-from casacal.kernels.program import read_program
+from casacal.kernels.program import Role, calls, read_program
 from casacal.linalg import LEAST_LEFT
 from casacal.values import Array
 
@@ -43,12 +43,16 @@ class Cubature:
     """
 
     def __init__(self, residual: ca.Function, backend: str) -> None:
-        self._program = read_program(residual, ("lane", "once", "once"), ahead=False)
+        # points take turns as the last argument; where the residual calls others, there are no operations to replay
+        z, c, d = (ca.SX.sym(name, residual.numel_in(i)) for i, name in enumerate("zcd"))
+        self._turned = ca.Function("turned", [c, d, z], residual.call([z, c, d]))
+        roles: list[Role] = ["lane", "once", "once"]
+        self._program = None if calls(residual) else read_program(residual, roles, ahead=False)
         self._unknowns, self._components = residual.numel_in(0), residual.numel_out(0)
         self._once = residual.numel_in(1) + residual.numel_in(2)
         self._steps: dict[tuple[int, int], ca.Function] = {}
         self._compiled: Any = None
-        if backend == "c":
+        if backend == "c" and self._program is not None:
             with contextlib.suppress(CompilerError):
                 source = filter_source(self._program, self._unknowns, self._once)
                 self._compiled = load_library(source, ("cubature_pass",)).cubature_pass
@@ -115,10 +119,7 @@ class Cubature:
         if (n, component) not in self._steps:
             points, once, w = ca.MX.sym("z", 2 * n, self._unknowns), ca.MX.sym("p", self._once), ca.MX.sym("w")
             mean, root = ca.MX.sym("mean", n), ca.MX.sym("root", n, n)
-            columns = ca.horzsplit(points)
-            lanes = ca.horzcat(*(columns[self._program.operations[value].element[1]] for value in self._program.lanes))
-            (e,) = replayed(self._program, [self._program.outputs[0][component]], once, lanes)
-            e = w * e
+            e = w * self._residual(component, points, once)
             average = ca.sum1(e) / (2 * n)
             std = ca.sqrt(1 + ca.sumsqr(e - average) / (2 * n))
             u = (e[:n] - e[n:]) / (2 * math.sqrt(n) * std)
@@ -133,3 +134,12 @@ class Cubature:
             outputs = [mean - beyond * (average / std), ca.horzcat(*reversed(turned)), figures]
             self._steps[n, component] = ca.Function("step", [points, once, w, mean, root], outputs)
         return self._steps[n, component]
+
+    def _residual(self, component: int, points: ca.MX, once: ca.MX) -> ca.MX:
+        """One component of the residual, a column over points of z."""
+        if self._program is None:
+            return mapped(self._turned, once, points)[component]
+        columns = ca.horzsplit(points)
+        lanes = ca.horzcat(*(columns[self._program.operations[value].element[1]] for value in self._program.lanes))
+        (e,) = replayed(self._program, [self._program.outputs[0][component]], once, lanes)
+        return e

@@ -67,6 +67,23 @@ def operations_of(function: ca.Function) -> tuple[list[Operation], list[list[int
     return operations, results
 
 
+def calls(function: ca.Function) -> bool:
+    """Whether an SX function calls others that CasADi does not write out: a rootfinder, a table, a callback."""
+    return any(function.instruction_id(k) == ca.OP_CALL for k in range(function.n_instructions()))
+
+
+ALWAYS = {
+    *(ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_NEG, ca.OP_SQ, ca.OP_TWICE),
+    *(ca.OP_SIN, ca.OP_COS),
+}
+"""Operations that give numbers for numbers."""
+
+
+def may_be_no_number(function: ca.Function) -> bool:
+    """Whether an SX function of finite arguments may give what is not a number, as roots, quotients and calls may."""
+    return any(function.instruction_id(k) not in ALWAYS for k in range(function.n_instructions()))
+
+
 def graph_data(function: ca.Function) -> dict[str, Any]:
     """Name, arguments, operations and results of an SX function; raises CasacalError for operations of other kinds."""
     try:

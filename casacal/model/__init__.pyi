@@ -4,6 +4,7 @@ from casacal.model.carriers import carried as carried
 from casacal.model.carriers import facing as facing
 from casacal.model.carriers import rail as rail
 from casacal.model.carriers import turntable as turntable
+from casacal.model.closed_chains import passive as passive
 from casacal.model.constraint import Constraint as Constraint
 from casacal.model.constraint import between as between
 from casacal.model.constraint import certified as certified

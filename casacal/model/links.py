@@ -63,7 +63,7 @@ class Links:
         flange = ca.Function("flange", [q], [ca.vertcat(*last.carried(q)[-1:])])
         for joints in random_joints(robot, PROOFS, np.random.default_rng(0)):
             there = joints if conventions is None else conventions.to_model(joints)
-            if np.abs(np.array(flange(there))[:, 0] - np.array(pose(there))[:3, 3]).max() > ALIKE:
+            if not np.abs(np.array(flange(there))[:, 0] - np.array(pose(there))[:3, 3]).max() <= ALIKE:  # or none
                 fix = "Leave out LinkSag; GravitySag asks nothing of the order"
                 raise ProblemError(f"The joints of '{robot.name}' do not carry one another in order", fix)
         return found

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import casadi as ca
 import numpy as np
 
-from casacal.errors import CasacalError, ProblemError, came
+from casacal.errors import CasacalError, ProblemError, SamplesError, came
 from casacal.model.dh_table import DHTable, Stds, read_dh_file
 from casacal.model.joints import Conventions, Joint, joints_of
 from casacal.model.kinematics import Expression
@@ -21,6 +21,7 @@ from casacal.values import Array, FrozenMapping, Rows, Value, alike, read_only, 
 
 PoseFunction = Callable[[Any, Expression], Expression]
 if TYPE_CHECKING:
+    from casacal.data.samples import Samples
     from casacal.model.urdf import UrdfChain
 
 Arm: TypeAlias = "DHTable | Screws | UrdfChain"
@@ -84,7 +85,7 @@ class Robot(Value):
     def traced(self) -> TracedPose:
         """The pose function as a graph; raises ProblemError when it fails or is no rigid motion."""
         made = TracedPose.of(partial(traced, self.pose, "pose", self.name, (4, 4)), self.parameters, len(self.axes))
-        made.require_rigid(self.name)
+        made.require_rigid(self.name, np.mean(self.limits, axis=0))
         return made
 
     def flange(self, p: Any, q: Expression) -> Expression:
@@ -285,6 +286,9 @@ class Robot(Value):
 AXIS_WEIGHT = 300.0  # millimetres at the tip that weigh as much as one radian of plunger direction
 
 
+DRAWS = 100  # after which one posture in twenty would have been found
+
+
 def joint_values(q: Any, robot: Robot) -> Array:
     """Joint values (N, n; rad, mm) of an arm from one row (n,) or several (N, n); raises CasacalError for others."""
     wanted = f"Give {len(robot.axes)} numbers per row, in rad (sliding joints in mm)"
@@ -301,8 +305,27 @@ def joint_values(q: Any, robot: Robot) -> Array:
 
 
 def random_joints(robot: Robot, count: int, rng: np.random.Generator) -> Array:
-    """Joint values (count, n; rad, mm), uniform between the limits."""
-    return rng.uniform(*robot.limits, size=(count, len(robot.axes)))
+    """Joint values (count, n; rad, mm), uniform between the limits where the pose of the arm as drawn is a number.
+
+    Raises ProblemError when it hardly ever is: the loops of a closed chain stay open.
+    """
+    found = rng.uniform(*robot.limits, size=(count, len(robot.axes)))
+    for _ in range(DRAWS):
+        if not (missing := np.flatnonzero(~robot.traced.closed(found, nearby=True))).size:
+            return found
+        found[missing] = rng.uniform(*robot.limits, size=(missing.size, len(robot.axes)))
+    what = f"The pose of '{robot.name}' is a number in hardly any posture between its joint limits"
+    fix = "Look at home and start of its loops and at what stands under roots and fractions, or narrow the limits"
+    raise ProblemError(what, fix)
+
+
+def refuse_open(robot: Robot, rows: Samples, closed: Rows) -> None:
+    """Raise SamplesError that names the rows in which the pose is not a number, where there are any."""
+    lines = [rows.lines[row] for row in np.flatnonzero(~closed).tolist()]
+    if lines:
+        what = f"the pose of '{robot.name}' is not a number at these joint values, as of a loop that does not close"
+        fix = "Check them; where they are right, lengths, or home and start of a loop, are not"
+        raise SamplesError(rows.file, what, fix, line=lines[0], also=lines[1:])
 
 
 def inside_limits(robot: Robot, joints: Array) -> Rows:

@@ -14,13 +14,14 @@ import casadi as ca
 import numpy as np
 
 from casacal.errors import CasacalError, ProblemError, came, said
-from casacal.kernels.program import graph_data
+from casacal.kernels.block_rows import Batch
+from casacal.kernels.program import Program, calls, evaluate, graph_data, may_be_no_number, read_program
 from casacal.model.geometry import Direction, Frame, packed_symbols
 from casacal.model.joints import Conventions, Joint
 from casacal.model.kinematics import Expression, Product, chain, position, rigid, screw, slide
 from casacal.model.unknown import PRIOR_STD, Parameter, Unknown
 from casacal.user_code import line_of
-from casacal.values import FrozenMapping, Names, Value
+from casacal.values import Array, FrozenMapping, Names, Rows, Value
 
 Triple = tuple[float, float, float]
 
@@ -89,6 +90,9 @@ class Screws:
         return found
 
 
+OFF, ARMS = 3.0, 8  # standard deviations by which so many other arms differ from the drawn one
+
+
 @dataclass(frozen=True, eq=False)
 class TracedPose(Value):
     """`pose(p, q)` as a graph: the parameters' values, by key, and q give the factors of the 4x4 flange pose (mm).
@@ -131,19 +135,49 @@ class TracedPose(Value):
         """Number of joint values in q."""
         return int(self.graph.size1_in(self.graph.n_in() - 1))
 
+    def closed(self, joints: Array, *, nearby: bool = False) -> Rows:
+        """In which postures (N, n) the pose of the arm as drawn is a number (N,), and of arms as priors allow them."""
+        if not may_be_no_number(self.graph):
+            return np.ones(len(joints), dtype=bool)
+        values = self._arms if nearby else [each[:, :1] for each in self._arms]
+        if self._program is None:  # it calls other functions, which know rows alone
+            arms = zip(*(each.T for each in values), strict=True)
+            found = [np.hstack(Batch(self.graph)(*arm, joints)) for arm in arms]
+            return np.asarray(np.isfinite(found).all(axis=(0, 2)))
+        given = [*(each[..., None] for each in values), joints.T[:, None]]
+        return np.asarray(np.isfinite(evaluate(self._program, self._program.results, given)).all(axis=(0, 1)))
+
+    @cached_property
+    def _program(self) -> Program | None:
+        return None if calls(self.graph) else read_program(self.graph, ["lane"] * self.graph.n_in(), ahead=False)
+
+    @cached_property
+    def _arms(self) -> list[Array]:
+        """Values of each parameter (numbers, 1 + ARMS): of the arm as drawn, and others OFF deviations off."""
+        rng, found = np.random.default_rng(0), []
+        for each in self.unknowns.values():
+            off = OFF * each.start_stds[:, None] * rng.choice((-1.0, 0.0, 1.0), (each.size, 1 + ARMS))
+            off[:, 0] = 0.0
+            values = (each.packed(each.at(ca.DM(np.asarray(each.nominal)), ca.DM(local))) for local in off.T)
+            found.append(np.column_stack([np.array(ca.DM(value)).ravel(order="F") for value in values]))
+        return found
+
     @cached_property
     def levers(self) -> ca.Function:
         """q -> derivative (3, n) of the flange's origin by the joint values, mm, of the arm as drawn."""
         q = ca.SX.sym("q", self.joints)
         return ca.Function("levers", [q], [ca.densify(ca.jacobian(position(self.at_drawn(q)), q))])
 
-    def require_rigid(self, owner: str) -> None:
-        """Raise ProblemError where the arm as drawn stretches, bends or mirrors its flange in one of three postures."""
-        if any(self.graph.instruction_id(k) == ca.OP_CALL for k in range(self.graph.n_instructions())):
-            what = f"The pose of '{owner}' calls another function, such as a rootfinder, an interpolant or a Callback"
-            raise ProblemError(what, "Write what it computes in elementary operations, such as sin and sqrt")
-        for q in np.random.default_rng(0).uniform(-1, 1, (3, self.joints)):
-            pose = np.array(ca.DM(self.at_drawn(ca.DM(q))))
+    def require_rigid(self, owner: str, middle: Array) -> None:
+        """Raise ProblemError where the arm as drawn stretches, bends or mirrors its flange, amid the limits or nearby.
+
+        Where a loop does not close the pose is not a number, and nothing is said of it here.
+        """
+        for q in (*np.random.default_rng(0).uniform(-1, 1, (3, self.joints)), middle):
+            try:
+                pose = np.array(ca.DM(self.at_drawn(ca.DM(q))))
+            except RuntimeError:  # of a function that is called
+                continue
             turn = pose[:3, :3]
             bent = np.abs(turn.T @ turn - np.eye(3)).max()
             if bent > RIGID:

@@ -208,17 +208,22 @@ def test_an_operation_without_a_form_in_c_keeps_a_model_on_blocks(caplog):
 
 
 @pytest.mark.parametrize("of", ["data alone", "parameters too"])
-def test_a_function_that_casadi_cannot_write_out_is_refused(of):
+def test_a_function_that_casadi_cannot_write_out_is_called_row_by_row(of):
     class Table(DialOnPlane):
         def residual(self, pose, p, row):
             given = pose[0, 3] if of == "parameters too" else row.reading
             return super().residual(pose, p, row) + bend(given)
 
     bend = ca.interpolant("bend", "linear", [[0.0, 1.0, 2.0]], [0.0, 1.0, 4.0])
-    problem = Problem(hsr_robot(), Table(noise_std=0.05))
+    model = Problem(hsr_robot(), Table(noise_std=0.05)).models[0]
+    rng, (z, c, d) = np.random.default_rng(0), (model.residual.numel_in(i) for i in range(3))
+    at, data = rng.normal(size=z + c) * 1e-3, rng.uniform(0, 1, (7, d))
     for backend in ("auto", "blocks"):
-        with pytest.raises(ProblemError, match="the operation 'call', which is not elementary"):
-            problem.models[0].rows(backend)
+        rows = model.rows(backend)
+        found = rows.residual(at, rows.lanes(data, np.full((7, 1), 0.05)))
+        np.testing.assert_allclose(found[0], [float(model.residual(at[:z], at[z:], row)) for row in data], rtol=1e-12)
+    with pytest.raises(ProblemError, match="back end c cannot be used: the model calls a rootfinder, a table"):
+        model.rows("c")
 
 
 def hsr_robot():
