@@ -14,6 +14,7 @@ from mkdocs.structure.pages import Page
 PAGES = ("docs/**/*.md", "docs/**/*.ipynb", "*.md", "problems/*/*.md", "studies/*/*.md")
 BESIDE = (
     "docs/*.js",
+    "docs/*.css",
     "studies/*/*.png",
     "docs/pictures/*.png",
     "studies/*.py",
