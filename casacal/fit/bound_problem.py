@@ -90,7 +90,7 @@ def bind(
 
     """
     for some in (sets := sets_of(samples)):
-        if isinstance(some, Samples):  # what is none, is refused below
+        if isinstance(some, Samples) and isinstance(problem, Problem):  # what is none, is refused below
             _refuse_absurd(some)
             refuse_open(problem.robot, some, problem.robot.traced.closed(some.joints))
     slots = make_slots(problem, sets)

@@ -14,6 +14,7 @@ from conftest import ROOT
 from test_new_robots import scara
 
 from casacal import DialOnPlane, Parameter, Problem, Robot, bind, calibrate, ekf, lm, load_problem, sckf, simulate
+from casacal.effects import Backlash
 from casacal.errors import ProblemError
 from casacal.kernels import backend as backends
 from casacal.kernels import libraries
@@ -402,3 +403,22 @@ def test_processes_that_race_for_the_cache_all_get_kernels(fresh):
     assert len({out for out, _ in said}) == 1
     assert {error for _, error in said} == {""}
     assert not [path for path in fresh.iterdir() if path.suffix != ".so"]
+
+
+@pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")
+@pytest.mark.parametrize(("count", "used"), [(60, "blocks"), (1001, "c")])
+def test_few_rows_with_terms_do_not_wait_for_a_compiler(hsr, monkeypatch, count, used):
+    """A compiler takes ten times as long as all the fits of few rows; many rows, and who asks, have their kernels."""
+    monkeypatch.delenv("CASACAL_BACKEND", raising=False)
+    problem = hsr.problem.with_terms(Backlash(size=1e-5))
+    samples = simulate(hsr.problem, hsr.cell, samples=count, seed=1).samples
+    bound = bind(problem, samples)
+    assert bound.backend == used
+    assert bind(hsr.problem, samples).backend == "c"
+    assert bind(problem, samples, backend="c").backend == "c"
+    few = bound.take(np.arange(50))
+    assert few.backend == "blocks"
+    monkeypatch.setenv("CASACAL_BACKEND", "c")
+    assert bind(problem, samples).backend == "c"
+    x = bound.start_std
+    np.testing.assert_allclose(few.residual(x), bind(problem, samples).take(np.arange(50)).residual(x), atol=1e-9)

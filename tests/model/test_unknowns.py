@@ -140,3 +140,11 @@ def test_what_cannot_be_split_is_held_as_a_whole(whole):
         whole.with_free([True] + [False] * (whole.size - 1))
     held = whole.with_free([False] * whole.size)
     assert (held.size, held.raw_size, held.names("k"), held.units) == (0, 0, (), ())
+
+
+def test_freeing_one_component_or_what_is_free_already(hsr):
+    held = hsr.problem.fix("a")
+    assert [name for name in held.free("a2").free_names() if name in ("a1", "a2")] == ["a2"]
+    assert set(hsr.problem.free_names()) == set(held.free("a").free_names())
+    again = hsr.problem.free("a", "theta3")
+    assert again is hsr.problem, "so that nothing is compiled twice"
