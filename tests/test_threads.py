@@ -135,7 +135,7 @@ def test_threads_share_a_problem(hsr, backend):
         lambda s: sckf(bind(problem, s, backend=backend)).x.tobytes(),
         lambda s: ekf(bind(problem, s, backend=backend)).x.tobytes(),
         lambda s: ipopt(bind(problem, s, backend=backend)).x.tobytes(),
-        lambda s: annealing(bind(problem, s, backend=backend), seed=1, budget=200).x.tobytes(),
+        lambda s: annealing(bind(problem, s, backend=backend), seed=1, budget=2000).x.tobytes(),
         lambda s: repr(check(problem, s)),
         lambda s: bits_of(calibrate(problem, s, backend=backend, reference=False)),
         lambda s: repr(calibrate(problem, s, method="lm", backend=backend, reference=False).tip_std),
