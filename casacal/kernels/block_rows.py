@@ -245,10 +245,8 @@ class BlockKernels(Kernels):
 
     def _built(self, name: str, width: int) -> ca.Function:
         if name.startswith("prepared"):  # p -> the values of parameters alone
-            program, p = (
-                self._residual if name.endswith("residual") else self._program,
-                ca.MX.sym("p", self._parameters),
-            )
+            program = self._residual if name.endswith("residual") else self._program
+            p = ca.MX.sym("p", self._parameters)
             prepared = replayed(program, program.once, p, ca.MX(1, len(program.lanes)))
             return ca.Function("prepared", [p], [ca.vertcat(*prepared)])
         o, d, columns = self._columns(name in ("residual", "cost"), width)

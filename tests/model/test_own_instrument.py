@@ -383,6 +383,24 @@ def test_simulated_readings_keep_to_what_a_device_can_show():
         simulate(laser(reading_limits={"range": (-2.0, -1.0)}), samples=5, seed=1)
 
 
+class Impossible(Instrument):
+    """A residual that no posture and no reading makes vanish, beside limits that are not to blame."""
+
+    columns: ClassVar = {"range": "length"}
+    reading_limits: ClassVar = {"range": (0.0, 3000.0)}
+    residual_std = 0.1
+
+    def residual(self, pose, p, row):
+        return 1.0 + ca.sumsqr(position(pose)) / 1e6 + (row.range / 1000) ** 2
+
+
+def test_limits_that_are_not_to_blame_are_not_named():
+    robot = load_problem(ROOT / "problems" / "hsr_jr680").problem.robot
+    with pytest.raises(SimulationError, match="Give its unknowns nominal values within the arm's reach") as refused:
+        simulate(Problem(robot, Impossible()), samples=3, seed=1)
+    assert "reading_limits" not in str(refused.value)
+
+
 class HeightGauge(Instrument):
     """A gauge on a plate reads how high the tip stands above it; its column is called like the height of a step."""
 
