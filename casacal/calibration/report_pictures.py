@@ -384,10 +384,10 @@ def _tips_and_plungers(part: Part, rows: Rows) -> tuple[Array, Array]:
     block = part.bound.blocks[part.instrument]
     pattern = block.pattern[rows]
     inputs = part.x[block.columns[pattern]], block.constants[pattern], block.rows(rows)
-    (tips,) = block.model.batch.tip(*inputs)
+    (tips,) = block.model.batch("tip")(*inputs)
     if block.model.plunger is None:
         return tips, np.zeros_like(tips)
-    (plungers,) = block.model.batch.plunger(*inputs)
+    (plungers,) = block.model.batch("plunger")(*inputs)
     return tips, plungers
 
 

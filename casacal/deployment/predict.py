@@ -144,10 +144,10 @@ def position_stds(
 def _field(arm: Moved, rows: Array, frame: str, sign: int = 0) -> tuple[Array, Array]:
     """Moves of positions (3 N, k) by what moves the arm, with a sign also by the dial's zero, and the positions."""
     batch = arm.model.batch
-    points, slopes = (batch.tip_jacobian if frame == "tip" else batch.flange_jacobian)(arm.z, arm.constants, rows)
+    points, slopes = batch("tip_jacobian" if frame == "tip" else "flange_jacobian")(arm.z, arm.constants, rows)
     field = slopes.reshape(3 * len(rows), arm.z.size)[:, arm.columns]
     if sign:
-        field = np.column_stack([field, sign * batch.plunger(arm.z, arm.constants, rows)[0].ravel()])
+        field = np.column_stack([field, sign * batch("plunger")(arm.z, arm.constants, rows)[0].ravel()])
     return field, points
 
 
@@ -258,15 +258,15 @@ def predict(
     read = {name: joints.columns[name] for name in instrument.columns if name in joints.columns}
     data = whole_rows(joints.joints, n, model.names, {**read, **extra.columns})
     known, constants = n + len(instrument.columns) + len(instrument.known_columns), row_constants(result, problem)
-    poses = stacked_poses(model.batch.pose(z, constants, data)[0])
+    poses = stacked_poses(model.batch("pose")(z, constants, data)[0])
     refuse_open(problem.robot, joints, np.isfinite(poses).all(axis=(1, 2)))
-    positions = model.batch.tip(z, constants, data)[0] if frame == "tip" else poses[:, :3, 3]
+    positions = model.batch("tip")(z, constants, data)[0] if frame == "tip" else poses[:, :3, 3]
     found, unseen = result.found.values(alone=not model.terms), tuple[str, ...]()
     zeros = RowZeros.of(instrument, joints, found) if frame == "tip" else None
     if zeros is not None and not nominal:
         unseen = tuple(dict.fromkeys(name.partition(".")[2] for name in zeros.names if name not in found))
         shifts = np.array([[found.get(name, 0.0)] for name in zeros.names])
-        positions = positions + shifts * zeros.sign * model.batch.plunger(z, constants, data)[0]
+        positions = positions + shifts * zeros.sign * model.batch("plunger")(z, constants, data)[0]
     if std and nominal:
         raise CasacalError("The nominal arm has no standard deviation", "Leave out --nominal or --std")
     spread = position_stds(result, data[:, :known], frame, zeros, extra) if std else None

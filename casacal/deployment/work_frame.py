@@ -193,7 +193,7 @@ def _base(result: CalibratedArm, origin: Array, count: int) -> Array:
     model, joints = problem.model, workspace_joints(problem.robot)
     rows = whole_rows(joints, joints.shape[1], model.names, NO_COLUMNS)
     local, constants = local_coordinates(result, of=problem), row_constants(result, problem)
-    tips, field = model.batch.tip_jacobian(local, constants, rows)
+    tips, field = model.batch("tip_jacobian")(local, constants, rows)
     pairs = covariance_of(result)[1]
     columns, places = ([pair[k] for pair in pairs] for k in (0, 1))
     moved = field.reshape(3 * len(tips), -1)[:, columns]

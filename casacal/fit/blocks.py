@@ -59,13 +59,13 @@ class Block:
         usual: with columns that rows tell as large as they were on average; else as where nobody knows them.
         """
         data = np.hstack([joints, np.tile(self.usual if usual else self.elsewhere, (len(joints), 1))])
-        outputs: list[Array] = getattr(self.model.batch, name)(x[self.columns[0]], self.constants[0], data)
+        outputs: list[Array] = self.model.batch(name)(x[self.columns[0]], self.constants[0], data)
         return outputs
 
     def tips_where(self, x: Array, joints: Array, columns: Array) -> Array:
         """Tips (N, 3; mm) at x (n,) and joint values (N, n; rad, mm), the columns beside these (k,) as given."""
         data = np.hstack([joints, np.tile(columns, (len(joints), 1))])
-        return np.asarray(self.model.batch.tip(x[self.columns[0]], self.constants[0], data)[0])
+        return np.asarray(self.model.batch("tip")(x[self.columns[0]], self.constants[0], data)[0])
 
     def slopes(
         self, what: Literal["tip", "flange"], x: Array, joints: Array, by: Index | None = None, *, usual: bool = True
@@ -86,7 +86,7 @@ class Block:
     @cached_property
     def joint_noise(self) -> Array:
         """Standard deviation (N, m) of each residual at the nominal where every joint errs by one radian of its own."""
-        return self.at_nominal(self.model.columns.joint_noise)
+        return self.at_nominal(self.model.columnwise("joint_noise"))
 
     def at_nominal(self, function: Columnwise) -> Array:
         """Values (N, m) of a function of one row at the nominal."""
@@ -128,7 +128,7 @@ def make_block(
     noise, away = np.empty((len(samples), model.components)), np.array(list(elsewhere.values()))
     usually, columns_of_d = np.array(list(usual.values())), tuple(of_rows.values())
     block = Block(model, samples, row_slots, pattern, columns, constants, columns_of_d, away, usually, noise)
-    noise[:] = block.at_nominal(model.columns.noise)
+    noise[:] = block.at_nominal(model.columnwise("noise"))
     for bad in np.flatnonzero(~((noise > 1 / LARGEST) & (noise < LARGEST)).all(axis=1))[:1]:
         raise ProblemError(
             f"{samples.file}, line {samples.lines[bad]}: the noise of {type(instrument).__name__} is "

@@ -484,7 +484,7 @@ class BoundProblem(LeastSquares):
         """Whitened residual k at many states (m, n): (m,)."""
         block, sample, component = self._locate(k)
         pattern = block.pattern[sample]
-        (e,) = block.model.batch.residual(
+        (e,) = block.model.batch("residual")(
             states[:, block.columns[pattern]], block.constants[pattern], block.data[sample]
         )
         return np.asarray(e[:, component] / block.noise[sample, component])
@@ -494,7 +494,7 @@ class BoundProblem(LeastSquares):
         block, sample, component = self._locate(k)
         pattern, noise = block.pattern[sample], block.noise[sample, component]
         columns = block.columns[pattern]
-        e, slopes = block.model.batch.jacobian(x[columns][None], block.constants[pattern], block.data[sample])
+        e, slopes = block.model.batch("jacobian")(x[columns][None], block.constants[pattern], block.data[sample])
         gradient = np.zeros(self.unknowns)
         gradient[columns] = slopes.reshape(-1, columns.size)[component] / noise
         return float(e[0, component] / noise), gradient

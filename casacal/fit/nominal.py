@@ -62,10 +62,10 @@ def surveys_of(problem: Problem, samples: Sequence[Samples], named: Mapping[str,
 def nominal_sight(problem: Problem, i: int, samples: Samples) -> Sight:
     """Nominal poses and tips of all rows of instrument `i`; raises ProblemError when a tip is not finite."""
     model, inputs = problem.models[i], _nominal_inputs(problem, i, samples)
-    poses = stacked_poses(model.columns.pose(*inputs))
+    poses = stacked_poses(model.columnwise("pose")(*inputs))
     if problem.terms and np.isnan(poses).any():  # terms that ask for a tip which rows have yet to propose
         return nominal_sight(problem.without_terms, i, samples)
-    plungers = None if model.plunger is None else model.columns.plunger(*inputs)
+    plungers = None if model.plunger is None else model.columnwise("plunger")(*inputs)
     return Sight(poses, nominal_tips(problem, i, samples), _instrument_columns(problem, i, samples), plungers)
 
 
@@ -75,10 +75,10 @@ def nominal_tips(problem: Problem, i: int, samples: Samples, proposed: Proposed 
     Where the tip needs what rows have yet to propose, as the body of a tracked pose, the flange's origins stand for it.
     """
     model, inputs = problem.models[i], _nominal_inputs(problem, i, samples, proposed)
-    tips: Array = model.columns.tip(*inputs)
+    tips: Array = model.columnwise("tip")(*inputs)
     unknowns = problem.symbols_of(i).unknowns
     if np.isnan(tips).all() and any(unknowns[key].nominal is None for key in model.constants):
-        tips = stacked_poses(model.columns.pose(*inputs))[:, :3, 3]
+        tips = stacked_poses(model.columnwise("pose")(*inputs))[:, :3, 3]
     if not np.isfinite(tips).all():
         raise ProblemError(
             f"The tip of {type(problem.instruments[i]).__name__} is not finite at the nominal",
@@ -160,10 +160,10 @@ class _SoughtRows:
             return None
 
     def _residual(self, u: Array, c: Array, pull: Array) -> Array:
-        return np.append(self.model.batch.residual(self._z(u), c, self.data)[0].ravel(), pull * u)
+        return np.append(self.model.batch("residual")(self._z(u), c, self.data)[0].ravel(), pull * u)
 
     def _slopes(self, u: Array, c: Array, pull: Array) -> Array:
-        e, by_z = self.model.batch.jacobian(self._z(u), c, self.data)
+        e, by_z = self.model.batch("jacobian")(self._z(u), c, self.data)
         by_z, found = by_z.reshape(*e.shape, -1), np.zeros((*e.shape, u.size))
         for rows, z_at, u_at in self.parts.values():
             found[rows, :, u_at] = by_z[rows, :, z_at]

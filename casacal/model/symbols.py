@@ -18,7 +18,7 @@ import casadi as ca
 
 from casacal.errors import ProblemError
 from casacal.model.term import Term
-from casacal.model.trace import RowModel, Trace, compile_rows, row_function
+from casacal.model.trace import RowModel, Trace, row_function
 from casacal.values import FrozenMapping, alike, short
 
 
@@ -32,7 +32,7 @@ class Symbols(Trace):
     @cached_property
     def model(self) -> RowModel:
         """The functions that estimators evaluate."""
-        return compile_rows(self)
+        return RowModel(self)
 
     @property
     def names(self) -> tuple[str, ...]:

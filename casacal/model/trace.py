@@ -246,41 +246,68 @@ def per_radian(robot: Robot) -> list[float]:
     return [1.0 if turns else PER_RAD for turns in robot.revolute]
 
 
-@dataclass(frozen=True)
 class RowModel:
     """The compiled functions of one robot with one instrument, of (z, c, d) but where another argument is named.
 
-    They know no priors: problems that differ in these alone have one model between them.
+    They know no priors: problems that differ in these alone have one model between them. Raises ProblemError where the
+    trace depends on anything but joints, columns and unknowns. What only some uses need is made when asked for.
     """
 
-    constants: tuple[str, ...]
-    """Keys of the unknowns whose nominal is part of c, in order."""
-    terms: tuple[Term, ...]
-    """Terms that have unknowns for this robot and instrument."""
-    linear: int
-    """Number of unknowns of terms, which are the last in z."""
-    names: tuple[str, ...]
-    """Columns of d beside the joint values, in order."""
-    residual: ca.Function
-    """e (m)."""
-    jacobian: ca.Function
-    """e (m), its derivative de/dz, row by row (m * nz)."""
-    noise: ca.Function
-    """Standard deviation w (m) of e."""
-    joint_noise: ca.Function
-    """Standard deviation (m) of e where joints alone err, independently, by 1 rad or its equivalent in mm."""
-    tip: ca.Function
-    """Tip (3), mm."""
-    tip_jacobian: ca.Function
-    """Tip (3), its derivative, row by row (3 * nz)."""
-    flange_jacobian: ca.Function
-    """Flange origin (3), mm, its derivative, row by row (3 * nz)."""
-    pose: ca.Function
-    """Flange pose (16), column by column."""
-    plunger: ca.Function | None
-    """Direction of the plunger (3) in the base frame; None for an instrument without one."""
-    raw_residual: ca.Function
-    """(v, c, d) -> e (m) at raw coordinates v, for the IPOPT reference."""
+    def __init__(self, traced: Trace) -> None:
+        self._trace = traced
+        self.constants: tuple[str, ...] = tuple(traced.constants)
+        """Keys of the unknowns whose nominal is part of c, in order."""
+        self.terms: tuple[Term, ...] = traced.acting
+        """Terms that have unknowns for this robot and instrument."""
+        declared = {**traced.robot.parameters, **traced.instrument.unknowns}
+        self.linear = traced.z.numel() - sum(unknown.size for unknown in declared.values())
+        """Number of unknowns of terms, which are the last in z."""
+        self.names: tuple[str, ...] = tuple(traced.columns)
+        """Columns of d beside the joint values, in order."""
+        self.residual = self._made("residual", traced.residual)
+        """e (m)."""
+        self.jacobian = self._made("jacobian", traced.residual, traced.jacobian.T)
+        """e (m), its derivative de/dz, row by row (m * nz)."""
+        self.noise = self._made("noise", traced.noise)
+        """Standard deviation w (m) of e."""
+        self.tip = self._made("tip", traced.tip)
+        """Tip (3), mm."""
+        self.pose = self._made("pose", traced.pose)
+        """Flange pose (16), column by column."""
+        plunger = traced.seen.plunger
+        self.plunger = None if plunger is None else self._made("plunger", plunger)
+        """Direction of the plunger (3) in the base frame; None for an instrument without one."""
+        self._rows: dict[str, Kernels] = {}
+        self._filters: dict[str, Cubature] = {}
+        self._columnwise: dict[str, Columnwise] = {}
+        self._batches: dict[str, Batch] = {}
+
+    def _made(self, name: str, *outputs: ca.SX) -> ca.Function:
+        return row_function(name, [self._trace.z, self._trace.c, self._trace.d], list(outputs))
+
+    @cached_property
+    def joint_noise(self) -> ca.Function:
+        """Standard deviation (m) of e where joints alone err, independently, by 1 rad or its equivalent in mm."""
+        traced = self._trace
+        by_joint = ca.jacobian(traced.residual, traced.q) @ ca.diag(ca.DM(per_radian(traced.robot)))
+        return self._made("joint_noise", ca.sqrt(ca.sum2(by_joint**2)))
+
+    @cached_property
+    def tip_jacobian(self) -> ca.Function:
+        """Tip (3), its derivative, row by row (3 * nz): J of eqs (3)-(5) of arXiv:2208.02652."""
+        return self._made("tip_jacobian", self._trace.tip, ca.jacobian(self._trace.tip, self._trace.z).T)
+
+    @cached_property
+    def flange_jacobian(self) -> ca.Function:
+        """Flange origin (3), mm, its derivative, row by row (3 * nz)."""
+        origin = ca.SX(position(self._trace.seen.pose))
+        return self._made("flange_jacobian", origin, ca.jacobian(origin, self._trace.z).T)
+
+    @cached_property
+    def raw_residual(self) -> ca.Function:
+        """(v, c, d) -> e (m) at raw coordinates v, for the IPOPT reference."""
+        v, residual = self._trace.raw
+        return row_function("raw_residual", [v, self._trace.c, self._trace.d], [residual])
 
     @cached_property
     def text(self) -> str:
@@ -307,60 +334,21 @@ class RowModel:
         return self._filters[name]
 
     @cached_property
-    def _rows(self) -> dict[str, Kernels]:
-        return {}
-
-    @cached_property
-    def _filters(self) -> dict[str, Cubature]:
-        return {}
-
-    @cached_property
-    def columns(self) -> Names:
-        """Noise, tip, pose and plunger of many rows at one (z, c), each as a `Columnwise`."""
-        return self._each("noise joint_noise tip pose plunger", Columnwise)
-
-    @cached_property
     def curvature(self) -> CurvatureKernel:
         """Cost, gradient and exact Hessian over many rows at one (v, c), for the IPOPT reference."""
         return CurvatureKernel(self.raw_residual, linear=self.linear)
 
-    @cached_property
-    def batch(self) -> Names:
-        """Functions of rows that differ in z and c too, each as a `Batch`."""
-        return self._each("residual jacobian noise tip tip_jacobian flange_jacobian pose plunger", Batch)
+    def columnwise(self, name: str) -> Columnwise:
+        """A function by its name, over many rows at one (z, c)."""
+        if name not in self._columnwise:
+            self._columnwise[name] = Columnwise(getattr(self, name))
+        return self._columnwise[name]
 
-    def _each(self, names: str, form: type[Batch] | type[Columnwise]) -> Names:
-        functions = {name: getattr(self, name) for name in names.split()}
-        return Names(**{name: form(each) for name, each in functions.items() if each is not None})
-
-
-def compile_rows(traced: Trace) -> RowModel:
-    """Compile a trace; raises ProblemError where it depends on anything but joints, columns and unknowns."""
-    built, z, e = traced.seen, traced.z, traced.residual
-    inputs, (v, raw_residual), origin = [z, traced.c, traced.d], traced.raw, ca.SX(position(built.pose))
-    slope, origin_slope = ca.jacobian(built.tip, z), ca.jacobian(origin, z)  # J of eqs (3)-(5) of arXiv:2208.02652
-    declared = {**traced.robot.parameters, **traced.instrument.unknowns}
-    by_joint = ca.jacobian(e, traced.q) @ ca.diag(ca.DM(per_radian(traced.robot)))
-
-    def made(name: str, *outputs: ca.SX) -> ca.Function:
-        return row_function(name, inputs, list(outputs))
-
-    return RowModel(
-        constants=tuple(traced.constants),
-        terms=traced.acting,
-        linear=z.numel() - sum(unknown.size for unknown in declared.values()),
-        names=tuple(traced.columns),
-        residual=made("residual", e),
-        jacobian=made("jacobian", e, traced.jacobian.T),
-        noise=made("noise", traced.noise),
-        joint_noise=made("joint_noise", ca.sqrt(ca.sum2(by_joint**2))),
-        tip=made("tip", built.tip),
-        tip_jacobian=made("tip_jacobian", built.tip, slope.T),
-        flange_jacobian=made("flange_jacobian", origin, origin_slope.T),
-        pose=made("pose", traced.pose),
-        plunger=None if built.plunger is None else made("plunger", built.plunger),
-        raw_residual=row_function("raw_residual", [v, *inputs[1:]], [raw_residual]),
-    )
+    def batch(self, name: str) -> Batch:
+        """A function by its name, over rows that differ in z and c too."""
+        if name not in self._batches:
+            self._batches[name] = Batch(getattr(self, name))
+        return self._batches[name]
 
 
 def row_function(name: str, inputs: list[ca.SX], outputs: list[ca.SX], names: list[str] | None = None) -> ca.Function:

@@ -61,7 +61,7 @@ class Bench:
         """Distances (k,; mm) by which the tips of some rows lie outside their faces."""
         if not self.faces:
             return np.zeros(len(rows))
-        (tips,) = self.problem.model.batch.tip(self.z[rows], self.c[rows], np.hstack([free, self.known[rows]]))
+        (tips,) = self.problem.model.batch("tip")(self.z[rows], self.c[rows], np.hstack([free, self.known[rows]]))
         axes, centres, half = rectangles([self.faces[k] for k in rows])
         along = np.abs(np.einsum("kx,kax->ka", tips - centres, axes[:, 1:]))
         return np.asarray(np.linalg.norm(np.maximum(along - half, 0.0), axis=1))

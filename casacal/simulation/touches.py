@@ -436,7 +436,7 @@ def random_tips(problem: Problem) -> Array:
     joints = random_joints(robot, 400, np.random.default_rng(0))
     data = np.hstack([joints, np.zeros((len(joints), model.pose.numel_in(2) - joints.shape[1]))])
     z, c = (np.zeros(model.pose.numel_in(i)) for i in (0, 1))
-    (pose,) = model.batch.pose(z, c, data)
+    (pose,) = model.batch("pose")(z, c, data)
     return stacked_poses(pose)[:, :3, 3]
 
 

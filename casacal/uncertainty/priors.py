@@ -31,7 +31,7 @@ def prior_tip_rms(problem: Problem) -> float:
     z = np.zeros(model.tip_jacobian.numel_in(0))
     data = np.zeros((len(joints), model.tip_jacobian.numel_in(2)))
     data[:, : joints.shape[1]] = joints
-    tips, slopes = model.batch.tip_jacobian(z, np.zeros(model.tip_jacobian.numel_in(1)), data)
+    tips, slopes = model.batch("tip_jacobian")(z, np.zeros(model.tip_jacobian.numel_in(1)), data)
     arm = sum(unknown.size for unknown in problem.robot.parameters.values())
     field = without_rigid(slopes.reshape(3 * len(joints), -1)[:, :arm], tips)
     stds = np.concatenate([unknown.prior_stds for unknown in problem.robot.parameters.values()] or [np.zeros(0)])

@@ -121,7 +121,7 @@ def test_rows_by_the_thousand_are_evaluated_too(written_out):
     models = [each.models[0] for each in (problem, arm(_rootfinder()))]
     data = np.random.default_rng(0).uniform(-1, 1, (5000, models[0].pose.numel_in(2)))
     z, c = np.full(models[0].pose.numel_in(0), 1e-3), np.zeros(models[0].pose.numel_in(1))
-    one, two = (model.columns.tip(z, c, data) for model in models)
+    one, two = (model.columnwise("tip")(z, c, data) for model in models)
     np.testing.assert_allclose(one, two, atol=1e-9)
 
 
