@@ -18,6 +18,8 @@ Array: TypeAlias = NDArray[np.float64]
 Rows: TypeAlias = NDArray[np.bool_]
 """Which rows: true or false for each."""
 Index: TypeAlias = NDArray[np.intp]
+Box: TypeAlias = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+"""Ranges of x, y and z in the base frame, mm."""
 """Positions."""
 
 

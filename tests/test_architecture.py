@@ -43,7 +43,7 @@ ORDER = [
 PLACE = {name: place for place, name in enumerate(ORDER)}
 EXTRAS = {
     "study.runs": {"dask", "distributed"},
-    "data.read": {"openpyxl"},
+    "data.archives": {"openpyxl"},
     "shopfloor.gauges": {"serial"},
     "cli.completion": {"shtab"},
 }

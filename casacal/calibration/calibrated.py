@@ -28,8 +28,7 @@ from casacal.files import jsonable, write_text
 from casacal.planning.cures import Cure
 from casacal.uncertainty.identifiability import Identifiability
 from casacal.uncertainty.moves import PriorMoves
-from casacal.uncertainty.tip_error import Box
-from casacal.values import Array
+from casacal.values import Array, Box
 from casacal.wording import figures
 
 if TYPE_CHECKING:

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from casacal.data.read import is_frame
-from casacal.data.samples import Measurements, Samples
+from casacal.data.samples import Measurements, Samples, is_frame
 from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.fit.bound_problem import BoundProblem
 from casacal.fit.least_squares import Result, Status, as_result

@@ -39,8 +39,8 @@ from casacal.planning.candidates import Clearance
 from casacal.planning.cell_drawing import CellDrawing
 from casacal.planning.offers import CalibratedCell
 from casacal.simulation.cell import Cell
-from casacal.uncertainty.tip_error import Box, accuracy_in_box, tip_stds, up_to_base, workspace_joints
-from casacal.values import Array
+from casacal.uncertainty.tip_error import accuracy_in_box, tip_stds, up_to_base, workspace_joints
+from casacal.values import Array, Box
 from casacal.wording import METRE, capital, numbered_lines, sized
 
 MOST_FACES = 40  # faces with a line of their own

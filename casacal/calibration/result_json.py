@@ -21,7 +21,7 @@ from casacal.files import MADE, together, write_json, write_text
 from casacal.fit.bound_problem import BoundProblem
 from casacal.model.problem_file import ProblemFile
 from casacal.uncertainty.identifiability import correlated_pairs
-from casacal.uncertainty.tip_error import Box
+from casacal.values import Box
 
 if TYPE_CHECKING:
     from casacal.calibration.earlier import EarlierResult

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from casacal.calibration.calibrated import Calibrated
     from casacal.deployment.arm import CalibratedArm
     from casacal.model.problem_file import ProblemFile
-    from casacal.uncertainty.tip_error import Box
+    from casacal.values import Box
 
 HELP = "calibrate the arm from samples"
 

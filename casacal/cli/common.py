@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from casacal.model.problem import Problem
     from casacal.model.problem_file import ProblemFile
     from casacal.planning.candidates import Clearance
-    from casacal.uncertainty.tip_error import Box
-    from casacal.values import Array
+    from casacal.values import Array, Box
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 

@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write a problem folder for a DH table or a URDF; returns 0."""
-    from casacal.model.dh_table import BLOCK_FIELDS, unread_keys
+    from casacal.model.dh_file import BLOCK_FIELDS, unread_keys
     from casacal.model.joints import Joint
     from casacal.model.new import new_from_dh, new_from_urdf
     from casacal.model.problem_text import Answers

@@ -20,10 +20,9 @@ from typing import Any, cast
 import numpy as np
 
 from casacal.data.columns import MANY_ROWS, Columns, Dimension, Labels
-from casacal.data.read import columns_of_arrays, columns_of_frame, digest_of, read_columns
-from casacal.data.text import UNSHOWN, Table
+from casacal.data.text import UNSHOWN, Table, read_table
 from casacal.errors import SamplesError
-from casacal.files import write_text
+from casacal.files import recover, write_text
 from casacal.values import EMPTY, Array, FrozenMapping, Index, Value, read_only, short
 from casacal.wording import html_table
 
@@ -40,9 +39,40 @@ ALSO_CALLED = {"plane": ("face", "faces", "surface", "side", "wall", "plate", "p
 LARGEST = {"angle": 20 * math.pi, "length": 1e5, "number": math.inf}
 """Beyond ten turns or a hundred metres a value is absurd whatever the robot."""
 
+ARRAYS, WORKBOOKS = (".npy", ".npz"), (".xlsx", ".xlsm")  # endings of files that are no text
+
 EXPECTED = "expected_"  # prefix of readings that a plan expects and that are not yet made
 
 UNREAD = 1e12  # mm; what is beyond it is no length in another unit, but a device's sign that it read nothing
+
+
+def read_columns(path: str | Path) -> Columns:
+    """Columns of a file: .npy with named fields, .npz with one array per column, .xlsx, or else delimited text.
+
+    Text of a million rows takes some ten seconds and a gigabyte; arrays take neither. Raises SamplesError that names
+    file, line, column, what is wrong and the fix.
+    """
+    path = Path(path)
+    recover(path.parent)
+    if path.suffix.lower() not in ARRAYS:
+        return read_any_table(path).columns
+    from casacal.data.archives import read_arrays
+
+    return read_arrays(path)
+
+
+def read_any_table(path: str | Path) -> Table:
+    """The cells of a workbook's first sheet, or of delimited text; raises SamplesError."""
+    if Path(path).suffix.lower() not in WORKBOOKS:
+        return read_table(path)
+    from casacal.data.archives import read_workbook
+
+    return read_workbook(path)
+
+
+def is_frame(value: Any) -> bool:
+    """Whether a value is a pandas DataFrame, without importing pandas for those who have none."""
+    return type(value).__name__ == "DataFrame" and hasattr(value, "itertuples")
 
 
 @dataclass(frozen=True)
@@ -279,6 +309,8 @@ class Samples(Value):
     @staticmethod
     def from_frame(frame: Any, layout: Layout, *, source: str = "DataFrame") -> Samples:
         """Samples from a pandas DataFrame with the columns of a samples file; raises SamplesError."""
+        from casacal.data.archives import columns_of_frame
+
         header = [str(name) for name in frame.columns]
         found = [[name for name in header if name in _spellings(*each)] for each in layout.quantities.items()]
         numbers = [name for each in found for name in each] + [name for name in header if name in layout.further]
@@ -288,6 +320,8 @@ class Samples(Value):
     @staticmethod
     def from_arrays(arrays: Mapping[str, Any], layout: Layout, *, source: str = "arrays") -> Samples:
         """Samples from arrays (N,) by the column names of a samples file; raises SamplesError."""
+        from casacal.data.archives import columns_of_arrays, digest_of
+
         columns = {str(name): np.asarray(values) for name, values in arrays.items()}
         columns = {name: values.astype(str) if values.dtype == object else values for name, values in columns.items()}
         shapes = {values.shape for values in columns.values()}

@@ -19,9 +19,9 @@ import numpy as np
 
 from casacal.errors import CasacalError
 from casacal.kernels.program import graph_data, graph_from
-from casacal.model.instrument import TracedInstrument
 from casacal.model.problem import Problem
 from casacal.model.robot import Robot
+from casacal.model.traced_instrument import TracedInstrument
 from casacal.values import FrozenMapping
 
 HOMES: Mapping[str, str] = {
@@ -32,7 +32,8 @@ HOMES: Mapping[str, str] = {
     "model.unknown": "Parameter",
     "model.geometry": "Direction Plane Frame",
     "model.constraint": "Constraint Correlation",
-    "model.instrument": "Probe ResidualBlock TracedInstrument Trusted",
+    "model.instrument": "Probe ResidualBlock Trusted",
+    "model.traced_instrument": "TracedInstrument",
     "model.dial": "DialOnPlane DialOnBody Step",
     "model.points": "TrackedPoint KnownPoint FixedPoint Sockets Distance SphereTouch SelfContact",
     "model.tracked_pose": "TrackedPose",

@@ -12,9 +12,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.data.archives import table_of_frame
 from casacal.data.columns import Dimension
-from casacal.data.read import is_frame, read_any_table, table_of_frame
-from casacal.data.samples import Layout, Samples, match_columns, read_further, taken_from
+from casacal.data.samples import Layout, Samples, is_frame, match_columns, read_any_table, read_further, taken_from
 from casacal.data.text import Table
 from casacal.deployment.arm import (
     FRAMES,

@@ -20,7 +20,8 @@ from casacal.deployment.remark import MARK, other_forms, remark
 from casacal.deployment.result_file import arm_from
 from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.files import MADE, write_text
-from casacal.model.dh_table import NEARLY, DHTable, dh_file_text, is_toml, plain
+from casacal.model.dh_file import dh_file_text, is_toml
+from casacal.model.dh_table import NEARLY, DHTable, plain
 from casacal.model.joints import Conventions
 from casacal.model.kinematics import chain, rotate_x, rotate_y, rotate_z, translate
 from casacal.model.urdf import MM, UrdfChain, origin_matrix

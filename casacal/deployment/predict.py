@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from casacal.data.read import is_frame, read_columns, table_of_frame
-from casacal.data.samples import Layout, Samples
+from casacal.data.archives import table_of_frame
+from casacal.data.samples import Layout, Samples, is_frame, read_columns
 from casacal.deployment.arm import (
     FRAMES,
     NO_COLUMNS,

@@ -23,7 +23,8 @@ from casacal.deployment.arm import CalibratedArm, for_instrument
 from casacal.deployment.as_data import problem_from
 from casacal.errors import CasacalError, came
 from casacal.files import BY, jsonable, recover
-from casacal.model.dh_table import DHTable, read_dh_file
+from casacal.model.dh_file import read_dh_file
+from casacal.model.dh_table import DHTable
 from casacal.model.problem import Problem
 from casacal.model.problem_file import ProblemFile, SourceFile, load_problem
 from casacal.model.robot import Arm

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 from casacal.doctor.diagnosis import ENOUGH, Diagnosis
 from casacal.doctor.pendant_rows import MEANINGS
-from casacal.model.dh_table import conventions_toml
+from casacal.model.dh_file import conventions_toml
 from casacal.model.joints import Conventions, Joint
 from casacal.model.problem_text import conventions_line
 from casacal.wording import figures

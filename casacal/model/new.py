@@ -12,7 +12,8 @@ from pathlib import Path
 
 from casacal.errors import CasacalError, ProblemError
 from casacal.files import writable
-from casacal.model.dh_table import DHTable, degrees, plain, read_dh_file
+from casacal.model.dh_file import read_dh_file
+from casacal.model.dh_table import DHTable, degrees, plain
 from casacal.model.problem_file import load_problem
 from casacal.model.problem_text import Answers, angles, conventions, imported, listed, quoted, tuple_of, word
 from casacal.model.urdf import UrdfChain

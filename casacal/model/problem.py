@@ -11,8 +11,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-from casacal.data.read import read_any_table
-from casacal.data.samples import Layout, Samples
+from casacal.data.samples import Layout, Samples, read_any_table
 from casacal.data.text import KEY, joined_tables
 from casacal.errors import ProblemError, SamplesError, UnknownNameError, came, refuse_unknown
 from casacal.model.constraint import Constraint, Correlation

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from casacal.errors import CasacalError, ProblemError, SamplesError, came
-from casacal.model.dh_table import DHTable, Stds, read_dh_file
+from casacal.model.dh_table import DHTable, Stds
 from casacal.model.joints import Conventions, Joint, joints_of
 from casacal.model.kinematics import Expression
 from casacal.model.traced_pose import Screws, TracedPose, joint_count, traced, traced_function, travels
@@ -184,6 +184,8 @@ class Robot(Value):
         path: str | Path, *, length_std: Stds = None, angle_std: Stds = None, twist_std: Stds = None
     ) -> Robot:
         """Robot from a DH table in CSV or TOML, as docs/files.md has them; raises ProblemError that names the place."""
+        from casacal.model.dh_file import read_dh_file
+
         table = replace(read_dh_file(path), path=str(Path(path).resolve()))
         return Robot(table.name, table.joints, table.pose, table.parameters(length_std, angle_std, twist_std), table)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from casacal.data.samples import Samples
 from casacal.model.geometry import fitted_plane
-from casacal.model.instrument import Instrument, TracedInstrument
+from casacal.model.instrument import Instrument
 from casacal.model.kinematics import Expression
 from casacal.model.robot import Robot
 from casacal.model.unknown import Parameter
@@ -108,6 +108,8 @@ class Site:
         instrument = self.instrument
         if blocks := instrument.blocks:
             return sum(block.size for block in blocks if block.unit == instrument.words.unit)
+        from casacal.model.traced_instrument import TracedInstrument
+
         try:
             return int(TracedInstrument.of(instrument, self.robot.parameters).graph.numel_out(0))
         except Exception:  # whatever a user's function raises is said where the arm is traced

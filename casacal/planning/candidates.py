@@ -23,8 +23,7 @@ from casacal.model.robot import Robot, random_joints
 from casacal.simulation.cell import Cell, Disturbances
 from casacal.simulation.simulate import simulate, touched_rows
 from casacal.simulation.touches import PLATE, Draw, TouchingArm, default_cell, refuse_cell, true_unknowns
-from casacal.uncertainty.tip_error import Box
-from casacal.values import Array, Rows, Value, is_real
+from casacal.values import Array, Box, Rows, Value, is_real
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,8 @@ from casacal.errors import CasacalError
 from casacal.fit.bound_problem import BoundProblem
 from casacal.fit.slots import instances
 from casacal.model.problem import Problem
-from casacal.uncertainty.tip_error import Box, joints_in_box, up_to_base, workspace_joints
-from casacal.values import Array, Index, Rows
+from casacal.uncertainty.tip_error import joints_in_box, up_to_base, workspace_joints
+from casacal.values import Array, Box, Index, Rows
 
 SWEEPS = 10  # times that every row of a plan is tried against all others
 BETTER = 1e-7  # part of the error by which an exchange must lower it

@@ -26,8 +26,7 @@ from casacal.planning.choice import Choice, Criterion, seldom, wanted_joints
 from casacal.planning.route import AGAIN, CHECK, FIT, Route, postures_text, shortest_way, touches_needed
 from casacal.planning.set_ups import POOL, SetUp, worth_most
 from casacal.simulation.cell import Cell, Disturbances
-from casacal.uncertainty.tip_error import Box
-from casacal.values import Array, FrozenMapping, Index, Rows, as_given, is_real
+from casacal.values import Array, Box, FrozenMapping, Index, Rows, as_given, is_real
 from casacal.wording import METRE, UNBOUNDED, figures, html_table
 
 DRAWS = 8  # random plans of as many touches, for comparison; draws of what is lost

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from casacal.data.read import read_columns
-from casacal.data.samples import EXPECTED, WRITTEN, Layout, Samples, samples_text
+from casacal.data.samples import EXPECTED, WRITTEN, Layout, Samples, read_columns, samples_text
 from casacal.errors import CasacalError, SamplesError
 from casacal.fit.slots import instances
 from casacal.model.problem import Problem

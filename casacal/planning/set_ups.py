@@ -22,8 +22,7 @@ from casacal.planning.candidates import Clearance, cell_of, pool_of
 from casacal.planning.choice import Choice, wanted_joints
 from casacal.planning.offers import STEP, block_on, fresh, raised, rising
 from casacal.simulation.cell import Cell, Disturbances, Face
-from casacal.uncertainty.tip_error import Box
-from casacal.values import Array, Value, plain
+from casacal.values import Array, Box, Value, plain
 from casacal.wording import numbered_lines
 
 POOL = 600  # touches among which is chosen in each set-up

@@ -30,8 +30,7 @@ from casacal.shopfloor.known import (
 )
 from casacal.shopfloor.touch import Slip, Touch, columns_of, joints_of, labels_of, rows_of, slips_of
 from casacal.simulation.cell import Disturbances
-from casacal.uncertainty.tip_error import Box
-from casacal.values import Array, Value, as_given, is_real
+from casacal.values import Array, Box, Value, as_given, is_real
 
 
 @dataclass(frozen=True, eq=False, repr=False)

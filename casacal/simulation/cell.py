@@ -13,8 +13,7 @@ from casacal.errors import SimulationError, came
 from casacal.model.instrument import Travel, readings_within
 from casacal.model.problem_file import Surroundings
 from casacal.model.unknown import tangent_basis, unit_vector
-from casacal.uncertainty.tip_error import Box
-from casacal.values import Array, Index, plain
+from casacal.values import Array, Box, Index, plain
 
 UNBOUNDED = "repeatability resolution joint_std backlash flatness compliance hysteresis drift error_scale"
 AMOUNTS = dict.fromkeys(UNBOUNDED.split(), math.inf) | {

@@ -23,8 +23,7 @@ from casacal.model.robot import AXIS_WEIGHT, Robot, inside_limits, random_joints
 from casacal.model.traced_pose import traced
 from casacal.model.unknown import Unknown, tangent_basis, unit_vector
 from casacal.simulation.cell import OF_DIALS, OF_TOUCHES, Cell, Disturbances, Face, corner, levels, rectangles, triple
-from casacal.uncertainty.tip_error import Box
-from casacal.values import Array, Index, Rows
+from casacal.values import Array, Box, Index, Rows
 
 ARRIVED = 1e-16
 """Squared miss (mm^2) below which a tip counts as arrived: no target needs more, and no machine's rounding less."""

@@ -11,7 +11,7 @@ from casacal.fit.arm_alone import ArmAlone, ArmProblem
 from casacal.fit.least_squares import LeastSquares
 from casacal.linalg import posterior_covariance, right_directions, svd
 from casacal.model.robot import Robot, random_joints
-from casacal.values import Array, Index
+from casacal.values import Array, Box, Index
 
 WORKSPACE_POSES = 400
 NATURAL_UNITS = {"rad": 1e-3, "mm": 1.0}
@@ -178,9 +178,6 @@ def natural_scale(problem: LeastSquares) -> Array:
     """Natural scale of each unknown (n,), independent of its prior: 1 mrad, 1 mm."""
     return np.array([NATURAL_UNITS.get(unit, 1.0) for unit in problem.units])
 
-
-Box = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
-"""Ranges of x, y and z in the base frame, mm."""
 
 TRIES = 40_000  # random joint values among which those inside a box are looked for
 FEWEST = 20

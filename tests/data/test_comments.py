@@ -5,8 +5,7 @@ import pytest
 from conftest import ROOT
 
 from casacal import Robot, load_problem
-from casacal.data.read import read_columns
-from casacal.data.samples import Layout, Samples
+from casacal.data.samples import Layout, Samples, read_columns
 from casacal.data.text import joined_tables, read_table
 from casacal.deployment.compensate import read_targets
 from casacal.deployment.predict import joints_from

@@ -8,8 +8,7 @@ import pytest
 
 from casacal import bind
 from casacal.data.columns import Labels, combinations
-from casacal.data.read import read_columns
-from casacal.data.samples import Layout, Samples
+from casacal.data.samples import Layout, Samples, read_columns
 from casacal.data.text import read_table
 from casacal.errors import SamplesError
 

@@ -9,7 +9,7 @@ import pytest
 from openpyxl import Workbook
 
 from casacal.cli.main import main
-from casacal.data.read import read_workbook
+from casacal.data.archives import read_workbook
 from casacal.data.samples import Layout, Samples
 from casacal.data.text import joined_tables, read_table
 from casacal.errors import SamplesError

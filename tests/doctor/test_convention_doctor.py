@@ -20,7 +20,7 @@ from casacal.doctor.search import Halves
 from casacal.doctor.words import diagnosis_text
 from casacal.errors import CasacalError, ProblemError, SamplesError
 from casacal.model.axes import axes_of
-from casacal.model.dh_table import dh_file_text, read_dh_file
+from casacal.model.dh_file import dh_file_text, read_dh_file
 from casacal.model.kinematics import rotate_x, rotate_z, translate_x, translate_z
 
 HSR = (ROOT / "problems" / "hsr_jr680").as_posix()

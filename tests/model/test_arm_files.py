@@ -9,7 +9,7 @@ from robots_of_others import ODD_URDF, PUMA_TOML, UR5_CSV, UR5_URDF
 
 from casacal import Conventions, Joint, Robot
 from casacal.errors import ProblemError
-from casacal.model.dh_table import conventions_toml, dh_file_text, quarter_turns, read_dh_file
+from casacal.model.dh_file import conventions_toml, dh_file_text, quarter_turns, read_dh_file
 
 
 @pytest.fixture

@@ -10,7 +10,8 @@ from oracles import dh_chain, rot_x, rot_z, shift
 from casacal import Robot
 from casacal.cli.main import main
 from casacal.errors import ProblemError
-from casacal.model.dh_table import DHTable, read_dh_file
+from casacal.model.dh_file import read_dh_file
+from casacal.model.dh_table import DHTable
 from casacal.model.joints import Joint
 
 HEAD = "joint,alpha_rad,a_m,d_m,theta_rad"

@@ -1,4 +1,4 @@
-"""Readers of rows as named columns from any form: arrays, workbooks, text, a DataFrame.
+"""Rows from arrays, workbooks and DataFrames, as named columns or cells.
 
 Errors are refused with a sentence. The unpacked size of zip archives, be they of arrays or workbooks, is bounded before
 anything in them is read.
@@ -22,12 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.data.columns import Columns, Labels
-from casacal.data.text import UNSHOWN, NumberedRows, Table, check_names, make_table, read_table
+from casacal.data.text import UNSHOWN, NumberedRows, Table, check_names, make_table
 from casacal.errors import CasacalError, SamplesError
-from casacal.files import recover
 from casacal.values import Array
 
-ARRAYS = (".npy", ".npz")
 MOST_MEMBERS = 10_000
 UNPACKED = 1 << 26  # bytes that any archive may unpack to
 GROWTH = 20  # a larger archive may unpack to so many times its size; measurements seldom shrink to a half
@@ -168,7 +166,6 @@ def pieces(path: Path) -> Iterator[bytes]:
                     yield piece
 
 
-WORKBOOKS = (".xlsx", ".xlsm")
 MOST_ROWS = 1 << 20  # rows of a sheet, whatever its file says
 MOST_TAGS = 1_600_000
 """Largest number of tags in all parts of a workbook, four a cell; a larger one takes minutes and gigabytes to read."""
@@ -284,27 +281,6 @@ def _text(cell: Any) -> str:
     if isinstance(cell, float):
         return str(int(cell)) if cell.is_integer() and abs(cell) < 1e15 else repr(cell)
     return str(cell).strip()
-
-
-def read_columns(path: str | Path) -> Columns:
-    """Columns of a file: .npy with named fields, .npz with one array per column, .xlsx, or else delimited text.
-
-    Text of a million rows takes some ten seconds and a gigabyte; arrays take neither. Raises SamplesError that names
-    file, line, column, what is wrong and the fix.
-    """
-    path = Path(path)
-    recover(path.parent)
-    return read_arrays(path) if path.suffix.lower() in ARRAYS else read_any_table(path).columns
-
-
-def read_any_table(path: str | Path) -> Table:
-    """The cells of a workbook's first sheet, or of delimited text; raises SamplesError."""
-    return read_workbook(path) if Path(path).suffix.lower() in WORKBOOKS else read_table(path)
-
-
-def is_frame(value: Any) -> bool:
-    """Whether a value is a pandas DataFrame, without importing pandas for those who have none."""
-    return type(value).__name__ == "DataFrame" and hasattr(value, "itertuples")
 
 
 def columns_of_frame(frame: Any, numbers: Sequence[str], labels: Sequence[str], source: str = "DataFrame") -> Columns:
