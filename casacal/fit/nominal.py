@@ -66,7 +66,7 @@ def nominal_sight(problem: Problem, i: int, samples: Samples) -> Sight:
     if problem.terms and np.isnan(poses).any():  # terms that ask for a tip which rows have yet to propose
         return nominal_sight(problem.without_terms, i, samples)
     plungers = None if model.plunger is None else model.columnwise("plunger")(*inputs)
-    return Sight(poses, nominal_tips(problem, i, samples), _instrument_columns(problem, i, samples), plungers)
+    return Sight(poses, _tips_at(problem, i, inputs), _instrument_columns(problem, i, samples), plungers)
 
 
 def nominal_tips(problem: Problem, i: int, samples: Samples, proposed: Proposed = EMPTY) -> Array:
@@ -74,7 +74,12 @@ def nominal_tips(problem: Problem, i: int, samples: Samples, proposed: Proposed 
 
     Where the tip needs what rows have yet to propose, as the body of a tracked pose, the flange's origins stand for it.
     """
-    model, inputs = problem.models[i], _nominal_inputs(problem, i, samples, proposed)
+    return _tips_at(problem, i, _nominal_inputs(problem, i, samples, proposed))
+
+
+def _tips_at(problem: Problem, i: int, inputs: tuple[Array, Array, Array]) -> Array:
+    """Tips (N, 3; mm) at (z, c, d) of the nominal robot."""
+    model = problem.models[i]
     tips: Array = model.columnwise("tip")(*inputs)
     unknowns = problem.symbols_of(i).unknowns
     if np.isnan(tips).all() and any(unknowns[key].nominal is None for key in model.constants):

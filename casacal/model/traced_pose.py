@@ -137,7 +137,7 @@ class TracedPose(Value):
 
     def closed(self, joints: Array, *, nearby: bool = False) -> Rows:
         """In which postures (N, n) the pose of the arm as drawn is a number (N,), and of arms as priors allow them."""
-        if not may_be_no_number(self.graph):
+        if not self._may_be_open:
             return np.ones(len(joints), dtype=bool)
         values = self._arms if nearby else [each[:, :1] for each in self._arms]
         if self._program is None:  # it calls other functions, which know rows alone
@@ -146,6 +146,10 @@ class TracedPose(Value):
             return np.asarray(np.isfinite(found).all(axis=(0, 2)))
         given = [*(each[..., None] for each in values), joints.T[:, None]]
         return np.asarray(np.isfinite(evaluate(self._program, self._program.results, given)).all(axis=(0, 1)))
+
+    @cached_property
+    def _may_be_open(self) -> bool:
+        return may_be_no_number(self.graph)
 
     @cached_property
     def _program(self) -> Program | None:

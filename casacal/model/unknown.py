@@ -206,11 +206,12 @@ def start_stds(prior: Array, start: Array | None, units: tuple[str, ...], what: 
 
 def tangent_basis(unit: Array) -> Array:
     """Two unit vectors (3, 2) that complete a unit vector (3,) to a right-handed orthonormal basis."""
-    helper = np.zeros(3)
-    helper[int(np.argmin(np.abs(unit)))] = 1.0
-    first = np.cross(unit, helper)
+    k = int(np.argmin(np.abs(unit)))
+    after, last = (k + 1) % 3, (k + 2) % 3
+    first = np.zeros(3)
+    first[after], first[last] = unit[last], -unit[after]  # unit x e_k
     first /= math.sqrt(float(first @ first))
-    return np.column_stack([first, np.cross(unit, first)])
+    return np.column_stack([first, unit[[1, 2, 0]] * first[[2, 0, 1]] - unit[[2, 0, 1]] * first[[1, 2, 0]]])
 
 
 def unit_vector(values: Sequence[float] | Array, what: str) -> Array:
