@@ -11,7 +11,7 @@ from scipy.optimize import least_squares, minimize
 from casacal import annealing, evolution, huber, lm, plate, swarm
 from casacal.errors import CasacalError, ProblemError
 from casacal.fit.least_squares import Gaussian, Status
-from casacal.fit.population import PATIENCE, SLOPES, Search
+from casacal.fit.population import PATIENCE, SLOPES, Search, _crossed
 from casacal.simulation import Simulated
 from casacal.study.statistics import paired
 from casacal.study.trial import Metered
@@ -168,7 +168,11 @@ def test_a_step_of_the_datum_that_leads_too_far_is_undone():
     for method in POPULATION.values():
         result = method(metered, seed=0, budget=40_000)
         assert result.cost <= problem.cost(problem.x0)
-    assert Search(problem).best_cost == pytest.approx(problem.cost(problem.x0), rel=1e-12)
+    search = Search(problem)
+    assert search.best_cost == pytest.approx(problem.cost(problem.x0), rel=1e-12)
+    points = np.random.default_rng(1).normal(size=(5, 4)) * 0.01
+    unmoved = [problem.cost(state) for state in search.states(points)]
+    np.testing.assert_allclose(search.costs(points), unmoved, rtol=1e-12)
 
 
 def test_a_problem_of_faces_alone_is_searched_after_all():
@@ -184,6 +188,30 @@ def ellipsoid(n=10, condition=1e6, *, turned=False):
     if turned:
         slopes = slopes @ np.linalg.qr(np.random.default_rng(6).normal(size=(n, n)))[0]
     return Matrix(slopes, slopes @ at, np.zeros(n), np.full(n, np.inf), np.ones(n)), at
+
+
+def test_a_particle_that_leaves_the_box_stops_at_its_wall(monkeypatch):
+    """With its speed turned round after each step and nothing that draws it, only a wall keeps it."""
+    monkeypatch.setattr("casacal.fit.population.INERTIA", -1.0)
+    monkeypatch.setattr("casacal.fit.population.ATTRACTION", 0.0)
+    problem, seen = with_a_datum(), []
+    problem.datum = np.zeros(6, dtype=bool)
+    costs = problem.costs
+    problem.costs = lambda states, loss=None: seen.append(states / problem.start_std) or costs(states, loss)
+    swarm(problem, seed=0, budget=40 * 400, width=0.7)
+    places = np.array(seen[1:])[:, 1:]  # the drawing comes first, and rests
+    at_wall = np.abs(np.abs(places) - 0.7) < 1e-12
+    came = at_wall[1] & ~at_wall[0]
+    assert came.sum() >= 5
+    np.testing.assert_array_equal(places[2:][:, came], np.tile(places[1][came], (len(places) - 2, 1)))
+    assert (places[2][~at_wall[1]] != places[1][~at_wall[1]]).all()
+
+
+def test_evolution_draws_from_what_was_replaced_too():
+    rng, points, lost = np.random.default_rng(0), np.zeros((50, 3)), np.ones((100, 3))
+    tried = _crossed(rng, points, lost, np.arange(50), np.ones(50), np.ones(50), 3.0)
+    assert 20 < (tried == -1).all(axis=1).sum() < 48  # two of three
+    assert (_crossed(rng, points, lost[:0], np.arange(50), np.ones(50), np.ones(50), 3.0) == 0).all()
 
 
 @pytest.mark.parametrize("method", [swarm, evolution])
