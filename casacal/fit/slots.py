@@ -158,6 +158,7 @@ def make_slots(problem: Problem, samples: Sequence[Samples], known: Mapping[str,
         add(key, unknown, None, np.asarray(unknown.nominal), False)
     for i, instrument in enumerate(problem.instruments):
         places: list[Place] = []
+        whole: Sight | None = None  # of all rows, unless they are many
         for key, unknown in sorted(instrument.unknowns.items(), key=lambda item: item[1].per is not None):
             for label, rows in instances(instrument, key, unknown, samples[i]):
                 full = problem.full_names[i][key]
@@ -171,8 +172,11 @@ def make_slots(problem: Problem, samples: Sequence[Samples], known: Mapping[str,
                 if name not in known and key in instrument.datum:
                     _check_rows(problem, i, unknown, label or key, len(rows), samples[i], fits_all=fits_all)
                 if nominal is None:
-                    few = samples[i].take(rows[:: -(-len(rows) // ENOUGH) or 1])
-                    nominal = _proposed(instrument, key, unknown, nominal_sight(problem, i, few))
+                    few = rows[:: -(-len(rows) // ENOUGH) or 1]
+                    if whole is None and len(samples[i]) <= ENOUGH:
+                        whole = nominal_sight(problem, i, samples[i])
+                    sight = nominal_sight(problem, i, samples[i].take(few)) if whole is None else whole.of(few)
+                    nominal = _proposed(instrument, key, unknown, sight)
                 places.append(Place(name, key, unknown, rows, nominal))
                 add(full, unknown, label, np.zeros(0) if nominal is None else nominal, key in instrument.datum)
         if any(place.nominal is None for place in places):

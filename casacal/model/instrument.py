@@ -23,7 +23,7 @@ from casacal.model.geometry import Plane, fitted_plane
 from casacal.model.kinematics import Expression, position, transform_point
 from casacal.model.unknown import Parameter, Unknown
 from casacal.user_code import Portable
-from casacal.values import Array, Rows, is_real
+from casacal.values import Array, Index, Rows, is_real
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,12 @@ class Sight:
     """The rows' own columns and those known from labels, each (N,), in mm, rad or the user's unit."""
     plungers: Array | None = None
     """Nominal directions of the plunger, (N, 3), out of the tool; None for an instrument without one."""
+
+    def of(self, rows: Index) -> Sight:
+        """The same of some rows."""
+        plungers = None if self.plungers is None else self.plungers[rows]
+        columns = {name: values[rows] for name, values in self.columns.items()}
+        return Sight(self.poses[rows], self.tips[rows], columns, plungers)
 
     def touched_plane(self, heights: Array | None = None) -> Array:
         """Numbers (12,) of the total-least-squares plane through the tips, known heights (N,) above it taken off, mm.
