@@ -163,6 +163,7 @@ with files.together(folder, ["a", "b", "gone", "last"], own=own) as place:
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(os.name == "nt", reason="folders that are locked")
 @pytest.mark.parametrize("own", ["own", "marked"])
 def test_a_set_is_old_or_new_after_a_kill_at_any_moment(tmp_path, own):

@@ -48,6 +48,7 @@ def totals(value, count=3):
     return pd.DataFrame({**joints, "total_mm": np.full(count, value)})
 
 
+@pytest.mark.long_unless("0.02", "0.0")
 @pytest.mark.parametrize("off", [0.0, 0.02, -0.7, 0.5])
 def test_three_false_rows_that_agree_are_named_and_nothing_is_promised(ur5, off):
     both, touches, total = ur5

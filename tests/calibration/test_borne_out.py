@@ -28,6 +28,7 @@ def with_lost_zero(degrees, seed=1):
     return dataclasses.replace(samples, joints=joints)
 
 
+@pytest.mark.long
 def test_a_number_that_rows_of_the_tip_bear_out_is_no_reason_to_refuse():
     found = calibrate(tracked(), with_lost_zero(0.7), reference=False)
     said = verdict_of(found)
@@ -36,6 +37,7 @@ def test_a_number_that_rows_of_the_tip_bear_out_is_no_reason_to_refuse():
     assert any("state wider priors (--prior" in reason for reason in said.reasons)
 
 
+@pytest.mark.long
 def test_no_arm_is_built_so_far_from_its_drawing():
     found = calibrate(tracked(), with_lost_zero(10.0), reference=False)
     assert (verdict_of(found).level, found.borne_out) == ("do not use", frozenset())

@@ -39,6 +39,7 @@ def touched(scara, seed=3):
     return problem, simulate(problem, cell, samples=ROWS, seed=seed).samples
 
 
+@pytest.mark.long_unless("inches as mm-unit of the readings")
 @pytest.mark.parametrize(
     ("mistake", "about"),
     [
@@ -59,6 +60,7 @@ def test_one_mistake_gives_one_error(scara, mistake, about):
         assert float(lead) == pytest.approx(20.0, abs=0.1)
 
 
+@pytest.mark.long
 def test_a_held_tool_that_is_elsewhere_is_found_with_its_place(hsr):
     held = REPLACE(hsr.problem.instrument, tool=tool_point(6.0, -5.0, 0.5, free=False))
     samples = simulate(Problem(hsr.problem.robot, held), hsr.cell, samples=ROWS, seed=1).samples
@@ -103,6 +105,7 @@ def test_something_that_moved_is_found_near_its_line(scara):
     assert abs(int(found.cause.split("near line ")[1].split(":")[0]) - samples.lines[50]) <= 4
 
 
+@pytest.mark.long
 def test_two_mistakes_at_once_are_both_named(scara):
     problem, samples = touched(scara)
     wrong = problem.with_settings({"sign": -1})
@@ -167,6 +170,7 @@ def test_what_was_not_looked_at_closely_explains_nothing(scara, monkeypatch):
     assert _simplest(_looked_at_closely(trials)) is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("by", "said", "kept"), [(-1, "next row", slice(1, None)), (1, "previous row", slice(-1))])
 def test_a_column_that_slipped_by_a_row_is_put_back(scara, by, said, kept):
     problem, samples = touched(scara)

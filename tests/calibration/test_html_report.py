@@ -88,6 +88,7 @@ def assert_valid(page):
     return read
 
 
+@pytest.mark.long
 def test_the_page_is_valid_and_refers_to_nothing(page):
     read = assert_valid(page)
     assert [attributes["lang"] for attributes, _ in read.all("html")] == ["en"]

@@ -49,6 +49,7 @@ MAKERS = {
 }
 
 
+@pytest.mark.long_unless("a parallelogram")
 @pytest.mark.parametrize("maker", MAKERS)
 def test_patterns_of_makers_are_found_by_a_tracker(maker):
     signs, offsets, coupled, line = MAKERS[maker]
@@ -58,6 +59,7 @@ def test_patterns_of_makers_are_found_by_a_tracker(maker):
     assert found.fix.endswith(f"conventions=Conventions({line}")
 
 
+@pytest.mark.long_unless("instruments/spike")
 @pytest.mark.parametrize("name", ["hsr_jr680", "instruments/spike", "instruments/ball_bar", "instruments/camera"])
 def test_what_is_found_puts_the_joints_back_or_the_same_arm(name):
     """Undone, the rows fit as the right ones do, whichever of several equivalent patterns is taken."""
@@ -71,6 +73,7 @@ def test_what_is_found_puts_the_joints_back_or_the_same_arm(name):
         np.testing.assert_allclose(cause.undone.samples.joints, right.joints, atol=1e-9)
 
 
+@pytest.mark.long
 def test_seven_joints_stay_within_their_limits():
     problem, right = measured("kuka_iiwa14")
     wrong = shown(right, (1, 1, -1, -1, 1, 1, 1))
@@ -84,6 +87,7 @@ def test_seven_joints_stay_within_their_limits():
     assert ((joints >= lower) & (joints <= upper)).all()
 
 
+@pytest.mark.long
 def test_a_mirror_image_beside_the_pattern_is_said(hsr):
     samples = hsr.problem.read(hsr.samples)
     found = check(hsr.problem, shown(samples, *MAKERS["a parallelogram"][:3]))
@@ -94,6 +98,7 @@ def test_a_mirror_image_beside_the_pattern_is_said(hsr):
     }
 
 
+@pytest.mark.long
 def test_one_sign_alone_is_no_pattern_and_clean_rows_have_none():
     problem, samples = measured("instruments/tracker")
     assert list(patterns(problem, samples)) == []

@@ -39,6 +39,7 @@ def swapped_at_first(joints):
     joints[:PLACE, [0, 1]] = joints[:PLACE, [1, 0]]
 
 
+@pytest.mark.long_unless("adept_cobra600-swapped_at_first-joints 1 and 2 swapped up to line -43")
 @pytest.mark.parametrize(
     ("change", "about", "near"),
     [
@@ -55,6 +56,7 @@ def test_what_happened_to_joints_is_named_with_its_line(touched, change, about, 
     assert abs(wrong.lines.index(line) - near) <= 1  # the first row may fit by chance
 
 
+@pytest.mark.long_unless("adept_cobra600")
 def test_an_encoder_that_slipped_is_named_with_its_joint_its_line_and_its_size(touched):
     problem, samples = touched
     (error,) = (each for each in check(problem, with_joints(samples, slipped)) if each.severity == "error")
@@ -65,6 +67,7 @@ def test_an_encoder_that_slipped_is_named_with_its_joint_its_line_and_its_size(t
     assert float(size) == pytest.approx(0.5, abs=0.03)
 
 
+@pytest.mark.long_unless("adept_cobra600-rows1", "ur5-rows1")
 @pytest.mark.parametrize("rows", [slice(PLACE, None), slice(20, 41)])
 def test_a_joint_that_hangs_is_named_with_its_rows(touched, rows):
     problem, samples = touched
@@ -78,6 +81,7 @@ def test_a_joint_that_hangs_is_named_with_its_rows(touched, rows):
     assert f"the same value up to lines {first}, " in error.cause
 
 
+@pytest.mark.long
 def test_exchanged_labels_and_a_turned_dial_are_named_by_check(touched):
     problem, samples = touched
     column, reading = problem.instrument.groups, problem.instrument.probe.column
@@ -103,6 +107,7 @@ def test_rows_that_fit_have_no_such_line(touched):
     assert changed_midway(problem, shuffled) is None
 
 
+@pytest.mark.long
 def test_a_joint_that_never_moves_is_said_where_nothing_fits():
     source = load_problem(PROBLEMS / "ur5")
     samples = simulate(source.problem, source.cell, samples=ROWS, seed=11).samples

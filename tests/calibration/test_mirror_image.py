@@ -151,6 +151,7 @@ def place(tmp_path_factory):
 SAID = r"with joints 1, 4 and 6 counted the other way the samples fit as well.* mm off"
 
 
+@pytest.mark.long
 def test_it_is_said_until_poses_off_the_pendant_settle_it(place, capsys):
     problem, samples, out = str(place / "six"), str(place / "s.csv"), place / "out"
     targets = place / "targets.csv"
@@ -207,6 +208,7 @@ def test_it_is_said_until_poses_off_the_pendant_settle_it(place, capsys):
     kept.unlink()
 
 
+@pytest.mark.long
 def test_an_image_that_one_of_several_instruments_excludes_is_none():
     """The dial alone would fit the image; the tracker on the same arm does not."""
     source = load_problem(ROOT / "problems" / "ur5_three_instruments")
@@ -222,6 +224,7 @@ def test_an_image_that_one_of_several_instruments_excludes_is_none():
     assert "mirror image" in [found.about for found in check(dial, sets[names.index("dial")])]
 
 
+@pytest.mark.long
 def test_of_a_result_that_must_not_be_used_nothing_is_said(tmp_path, capsys):
     words = ["calibrate", str(ROOT / "problems" / "hsr_jr680"), "--set", "sign=-1", "--out", str(tmp_path / "out")]
     assert main(words) == 1

@@ -92,6 +92,7 @@ def test_a_step_on_no_face_is_refused_in_a_cell_and_named_in_rows(ur5, steps, re
     assert not any(each.about == "step without a face" for each in check(problem, samples))
 
 
+@pytest.mark.long
 def test_a_zero_a_quarter_turn_off(ur5):
     problem, samples = ur5
     wrong = REPLACE(samples, joints=samples.joints + math.pi / 2 * np.eye(6)[1])
@@ -173,6 +174,7 @@ def test_a_unit_that_is_wrong_is_no_travel_to_declare(scara):
     assert "travel" not in str(found)
 
 
+@pytest.mark.long
 def test_what_was_split_in_two_is_not_called_small(ur5):
     """Where something moved, later rows count under other labels, which no reader has ever seen."""
     problem, samples = ur5
@@ -264,6 +266,7 @@ def test_places_of_a_lost_target_are_named_with_their_lines(shown):
     assert "Remove these lines" in found.fix
 
 
+@pytest.mark.long_unless("0.03937007874015748-inches, written as mm")
 @pytest.mark.parametrize(("factor", "words"), [(1 / 25.4, "inches, written as mm"), (1e-3, "metres, written as mm")])
 def test_units_that_differ_by_session_are_named(factor, words):
     rows, (found,) = _tracked(lambda places, session: np.where(session[:, None] == "1", 1.0, factor) * places)
@@ -272,6 +275,7 @@ def test_units_that_differ_by_session_are_named(factor, words):
     assert f"where session is {'not ' if several else ''}'{'1' if several else '2'}' seem to be {words}" in found.cause
 
 
+@pytest.mark.long
 def test_a_device_that_did_not_follow_is_named_by_the_rows_that_repeat_another():
     """Of two rows with one place the first was measured."""
 

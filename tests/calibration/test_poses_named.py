@@ -42,6 +42,7 @@ def told(problem, samples):
     return {each.about: each for each in check(problem, samples)}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("orientation", ["quaternion", "rotation vector", "ZYX", "xyz"])
 def test_whole_poses_that_are_inverted(camera, orientation):
     problem, samples = written(camera, np.linalg.inv(camera[2]), orientation)
@@ -55,6 +56,7 @@ def test_whole_poses_that_are_inverted(camera, orientation):
     assert told(problem, right) == {}
 
 
+@pytest.mark.long
 def test_inverted_poses_in_metres_are_two_mistakes(camera):
     poses = np.linalg.inv(camera[2])
     poses[:, :3, 3] /= 1000

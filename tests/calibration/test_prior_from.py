@@ -462,6 +462,7 @@ def place(tmp_path_factory):
     return folder
 
 
+@pytest.mark.long
 def test_the_command_says_it_and_ends_as_it_should(place, capsys):
     result = str(place / "first")
     assert main(["changed", result, str(place / "same.csv")]) == 0

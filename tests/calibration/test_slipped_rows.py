@@ -36,6 +36,7 @@ def only(problem, samples):
     return found
 
 
+@pytest.mark.long_unless("instruments/camera")
 @pytest.mark.parametrize("name", ["instruments/tracker", "hsr_jr680", "instruments/camera"])
 def test_a_detection_that_was_lost_in_the_middle(name):
     problem, samples = measured(name)
@@ -59,6 +60,7 @@ def test_the_last_few_rows_are_no_outliers(change, way, line):
     assert not found.lines
 
 
+@pytest.mark.long
 def test_labels_that_come_with_the_readings_slip_as_well():
     problem, samples = measured("instruments/tracker")
     found = only(problem, lost(samples, 14, labels=True))

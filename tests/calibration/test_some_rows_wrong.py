@@ -20,6 +20,7 @@ def errors(problem, samples):
     return [finding for finding in check(problem, samples) if finding.severity == "error"]
 
 
+@pytest.mark.long_unless("0.05-instruments/tracker")
 @pytest.mark.parametrize("name", ["hsr_jr680", "ur5", "instruments/tracker"])
 @pytest.mark.parametrize("part", [0.05, 0.2, 0.5])
 def test_rows_in_radians_are_named_by_their_lines(name, part):
@@ -38,6 +39,7 @@ def test_a_row_near_zero_is_in_degrees_like_all():
     assert [found.about for found in errors(problem, rows)] == ["outliers"], "its reading is another posture's"
 
 
+@pytest.mark.long_unless("-0.03")
 @pytest.mark.parametrize("by", [0.02, -0.03])
 def test_the_gain_of_a_dial(hsr, by):
     samples = hsr.problem.read(hsr.samples)

@@ -201,6 +201,7 @@ def test_nobody_is_sent_to_a_check_that_was_asked(hsr, changes, asked, step, mon
     assert ("casacal check" in next_step(found, verdict)) is not asked
 
 
+@pytest.mark.long
 def test_residuals_that_nothing_explains_are_looked_at_before_priors(hsr, corner_simulation, monkeypatch):
     """Two faces under one label: priors that the misfit contradicts as well are not what is wrong."""
     samples = corner_simulation.samples
@@ -566,6 +567,7 @@ def test_warnings_are_sentences(hsr):
             assert "up to the base frame" not in sentence
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("case", "held"), [("hsr", "plane"), ("point", "point"), ("point", "point_x")])
 def test_what_is_held_where_the_drawn_arm_has_it_denies_the_result(hsr, clean, case, held):
     """It took over the drawn arm's errors: arms of the prior end 3 to 12 times as far off as they would promise."""

@@ -139,6 +139,7 @@ def longer_tool():
     return _ur10e(115.0), simulate(_ur10e(119.5), cell, samples=90, seed=5).samples
 
 
+@pytest.mark.long
 def test_a_longer_tool_and_the_last_link_are_named_together_the_tool_first(longer_tool):
     """The two move the tip alike; whoever corrected d6 got a flange that is 4.5 mm wrong, and "Calibrated"."""
     problem, samples = longer_tool
@@ -188,6 +189,7 @@ def test_a_held_tool_is_named_as_well(length):
     assert "--prior" not in str(error)
 
 
+@pytest.mark.long_unless("False")
 @pytest.mark.parametrize("held", [False, True])
 def test_a_last_link_that_is_shorter_is_named_beside_the_tool(held):
     """5 mm of d6 look like a tool 5 mm longer, which is a warning as such, or an error where the tool is held."""

@@ -140,6 +140,7 @@ def test_what_a_wrong_gain_does_to_the_tip(hsr):
     assert worth.tip_mm == pytest.approx(0.15 * by_hand, rel=0.05)
 
 
+@pytest.mark.long
 def test_a_calibration_says_it(hsr, tmp_path):
     samples = faulty(hsr, "drift", 11)
     found = calibrate(hsr, samples, method="lm", reference=False)

@@ -227,6 +227,7 @@ def test_tables_of_lengths_and_angles_hold_the_arm_for_those_who_cannot_correct(
     assert "Corrections that were tried" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.long
 def test_fresh_rows_of_an_arm_that_sags_are_expected_where_they_are(sagging, tmp_path):
     found = sagging[1]
     source = load_problem(UR5)
@@ -426,6 +427,7 @@ def test_a_soft_arm_is_doubted_but_corrected():
     np.testing.assert_array_equal(found.motion.off[sag], estimate[sag])  # the whole correction may be an error
 
 
+@pytest.mark.long
 def test_a_dial_whose_gain_nobody_declared_is_doubted_where_its_prior_does_not_cover_it():
     source = load_problem(ROOT / "problems" / "hsr_jr680")
     made = simulate(source.problem, source.cell, samples=120, seed=1).samples

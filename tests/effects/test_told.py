@@ -316,6 +316,7 @@ def test_amounts_next_to_nothing_are_asked_about(loaded, asked):
         assert any("next to nothing" in words for words in found.beyond) == said
 
 
+@pytest.mark.long
 def test_a_column_that_never_varies_makes_a_result_that_is_read(tmp_path, asked, capsys):
     """Torque about an upright axis: zero in every row, and so its mean without any spread."""
     torques = np.random.default_rng(6).normal(size=(80, 6)) * USUAL

@@ -252,6 +252,7 @@ def test_a_zero_that_moved_is_named_with_its_place_and_size(middle, after, by):
     assert "zero_shift=dial_zero()" in found[0].fix
 
 
+@pytest.mark.long
 def test_zeros_that_moved_twice_are_named_with_their_places_and_sizes(middle):
     problem, samples = middle
     order = np.arange(len(samples))

@@ -149,6 +149,7 @@ def test_other_instruments_keep_above_the_table_too():
         assert (lowest > -1e-3) == (table == 0)
 
 
+@pytest.mark.long
 def test_links_that_were_looked_at_are_not_said_to_be_unchecked(folders, tmp_path, capsys):
     arm, out = BY_NAME["IRB 120"], tmp_path / "plan.csv"
     asked = ["plan", str(folders["IRB 120"]), "--out", str(out), "--touches", "30", "--pool", "100"]
@@ -161,6 +162,7 @@ def test_links_that_were_looked_at_are_not_said_to_be_unchecked(folders, tmp_pat
     assert made.cell.faces == default_cell(source.problem).faces
 
 
+@pytest.mark.long
 def test_links_that_were_not_looked_at_are_said_to_be_unchecked(folders, tmp_path, capsys):
     out, robot = tmp_path / "plan.csv", load_problem(folders["UR5"]).problem.robot
     asked = ["plan", str(folders["UR5"]), "--out", str(out), "--touches", "12", "--pool", "60", "--link-radius", "0"]
@@ -219,6 +221,7 @@ def test_the_tip_is_asked_as_well_as_the_joints_also_of_an_arm_that_is_no_chain(
     assert above_table(odd, 0.0)(np.zeros((2, 2)), tips).tolist() == [True, False]
 
 
+@pytest.mark.long
 def test_touches_that_were_made_elsewhere_are_refused_not_planned_on(folders, tmp_path, capsys):
     """With the table forgotten, new touches would hang 400 mm above the plate, and the promise would be absurd."""
     problem, plan_file, rows = str(folders["UR5"]), str(tmp_path / "p.csv"), str(tmp_path / "s.csv")
@@ -281,6 +284,7 @@ def test_a_plate_that_few_postures_reach_is_not_called_out_of_reach(folders, tmp
         pool_of(source.problem, Cell(faces=(Face("far", (3000, 0, 400), (0, 0, 1)),)), 3, 0)
 
 
+@pytest.mark.long
 def test_a_plate_that_the_plan_leaves_out_is_said_with_why(folders, tmp_path, capsys):
     plates = ["a:650,-150,20", "b:650,250,20", "w:900,-200,300:-1,0,0", "s:600,-500,300:0,1,0", "h:500,-300,400:100"]
     place, out = _new(folders, tmp_path, "many", *plates), tmp_path / "p.csv"
@@ -297,6 +301,7 @@ def test_a_plate_that_the_plan_leaves_out_is_said_with_why(folders, tmp_path, ca
     assert f"{kept} kept to verify ({kept / 30:.0%})" in said, "as many as the rows"
 
 
+@pytest.mark.long
 def test_each_set_up_is_advised_with_what_to_type(folders, tmp_path, monkeypatch, capsys):
     """A larger tilt as an option of plan; plates as options of new, which make the cell that was compared."""
     monkeypatch.chdir(tmp_path)
@@ -326,6 +331,7 @@ def test_each_set_up_is_advised_with_what_to_type(folders, tmp_path, monkeypatch
     assert first == f"To do so: casacal new with {three.option}"
 
 
+@pytest.mark.long
 def test_postures_that_somebody_wrote_into_a_plan_are_looked_at(folders, tmp_path, monkeypatch, capsys):
     """An arm that lies down, its tip below the table by our own kinematics, in the third line; and one in a box."""
     monkeypatch.chdir(tmp_path)
@@ -354,6 +360,7 @@ def test_postures_that_somebody_wrote_into_a_plan_are_looked_at(folders, tmp_pat
     assert "link 4 against box 1" in capsys.readouterr().out.split("touch 1")[0]
 
 
+@pytest.mark.long
 def test_a_block_beside_an_unfinished_problem_says_what_is_to_fill_in(folders, tmp_path, capsys):
     place = _new(folders, tmp_path, "bare", "floor:650,-150,20:300")
     asked = ["plan", str(place), "--block", "50", "--touches", "50", "--pool", "120", "--out", str(tmp_path / "p.csv")]
@@ -369,6 +376,7 @@ def test_a_block_beside_an_unfinished_problem_says_what_is_to_fill_in(folders, t
     assert "1 line of the problem file is marked TO FILL IN" in capsys.readouterr().out
 
 
+@pytest.mark.long
 @pytest.mark.skipif(os.name == "nt", reason="devices of POSIX")
 def test_a_plan_goes_into_a_pipe(folders, tmp_path):
     typed = [sys.executable, "-m", "casacal", "plan", str(folders["UR5"]), "--touches", "12", "--pool", "60"]
@@ -447,6 +455,7 @@ def test_a_block_that_cannot_be_is_refused_and_nothing_written(tmp_path, capsys,
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.long
 def test_one_of_several_instruments_may_have_a_block(tmp_path, capsys):
     several = str(ROOT / "problems" / "ur5_three_instruments")
     asked = [

@@ -244,6 +244,7 @@ def test_several_instruments_are_planned_one_by_one():
     assert len(plan(several.problem.measured_by("spike"), touches=12, pool=60, starts=1)) == 12
 
 
+@pytest.mark.long
 def test_the_command_line_plans(tmp_path, capsys):
     out = tmp_path / "plan.csv"
     small = ["--pool", "80", "--touches", "20"]
@@ -281,6 +282,7 @@ def test_a_plan_for_targets_is_told_as_json(tmp_path, capsys):
     assert "16 touches are fitted, but casacal calibrate needs at least 3" in warned
 
 
+@pytest.mark.long
 def test_a_plan_is_simulated_as_it_would_be_measured(tmp_path, capsys):
     """The touches to fit in one file, those to verify with in another, each face with as many as place it."""
     files = {name: str(tmp_path / f"{name}.csv") for name in ("plan", "s", "s_check", "other", "flipped")}

@@ -181,6 +181,7 @@ def test_half_of_the_contacts_or_other_plates_do_not_harm_either(motoman, motoma
         assert max(a / b for a, b in zip(after, before, strict=True)) <= 1.05
 
 
+@pytest.mark.long
 def test_loose_priors_fit_the_planes_better_and_ruin_the_arm(motoman, motoman_data, contacts):
     loose = motoman.with_prior({"a": 10, "d": 10, "alpha": 0.01, "theta": 0.01})
     tight, wild = lm(bind(motoman, contacts)), lm(bind(loose, contacts))

@@ -61,6 +61,7 @@ def test_all_noise_is_scaled_but_what_repeats_share():
     assert times({REPEATABILITY: 1e-5}, 2.0) == pytest.approx({OTHERS: 2.0, REPEATABILITY: 2e-5})
 
 
+@pytest.mark.long
 def test_it_is_found_with_its_size(found):
     sizes = np.array([each.fit.scale.get(REPEATABILITY, 0.0) for each in found])
     assert (sizes > 0).sum() >= 4

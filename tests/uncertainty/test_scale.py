@@ -130,6 +130,7 @@ def drawn(rng, *, used, part):
     return LinkLengths(a, y, np.zeros(12), prior), covariance @ (a.T @ y / 0.05**2), covariance
 
 
+@pytest.mark.long_unless("5.0")
 @pytest.mark.parametrize("used", [0.1, 1.0, 5.0])
 def test_chance_of_a_common_scale_is_one_however_well_priors_fit(used):
     rng = np.random.default_rng(3)

@@ -765,6 +765,7 @@ def run(capsys):
     return call
 
 
+@pytest.mark.long
 def test_the_command_says_kept_or_not_and_exits_so(by_command, run):
     result, fresh = str(by_command), str(by_command / "fresh.csv")
     code, out, _ = run(result, fresh)
