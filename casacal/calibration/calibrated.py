@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import html
+import io
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,18 +16,18 @@ import numpy as np
 
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.motion import Motion
-from casacal.calibration.pictures import plot_convergence, plot_residuals, plot_tip_std
-from casacal.calibration.result_json import calibration_document, found_part, write_calibration
-from casacal.calibration.result_parts import parameter_rows
+from casacal.calibration.pictures import plot_convergence, plot_residuals, plot_tip_std, save_plots
+from casacal.calibration.result_json import calibration_document, found_part, parameter_rows
 from casacal.calibration.saved import AsArm, parameter_table
 from casacal.calibration.sensitivity import Sensitivity
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import WithVerdict
 from casacal.deployment.arm import CalibratedArm
+from casacal.deployment.result import Verdict
 from casacal.effects.selection import DialError, LeftOut
 from casacal.effects.trusted import Leverage
 from casacal.errors import CasacalError
-from casacal.files import jsonable, write_text
+from casacal.files import MADE, jsonable, together, write_json, write_text
 from casacal.planning.cures import Cure
 from casacal.uncertainty.identifiability import Identifiability
 from casacal.uncertainty.moves import PriorMoves
@@ -34,6 +37,10 @@ from casacal.wording import figures
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+FILES = ("report.html", "result.json", "parameters.csv", "residuals.png", "convergence.png")
+"""Files that a calibration writes, most read first; result.json is placed last: where it stands, all stand."""
 
 
 class Calibrated(WithVerdict, AsArm):
@@ -186,16 +193,27 @@ class Calibrated(WithVerdict, AsArm):
         """All that result.json holds, in JSON's own types."""
         return dict(jsonable(calibration_document(self)))
 
-    def save(self, folder: str | Path) -> list[Path]:
+    def save(self, folder: str | Path, *, command: str | None = None, box: Box | None = None) -> list[Path]:
         """Write report.html, result.json, parameters.csv, pictures and the problem itself into a folder.
 
-        `casacal.load(folder)` reads it back, here or elsewhere.
+        `casacal.load(folder)` reads it back, here or elsewhere. For the report: `command`, the command line that
+        reproduces it, and `box`, where the arm will work, ranges in mm.
 
         Returns:
             The paths of the files that were written.
 
         """
-        return write_calibration(self, Path(folder))
+        from casacal.calibration.report import report_page
+
+        folder = Path(folder)
+        document = calibration_document(self, folder=folder)
+        with together(folder, [*(name for name in FILES if name != "result.json"), "result.json"]) as place:
+            write_text(place / "report.html", report_page(self, document, command=command, box=box))
+            write_json(place / "result.json", document)
+            write_text(place / "parameters.csv", _parameters_csv(document["parameters"], self.verdict))
+            save_plots(self, place)
+            made = [name for name in FILES if (place / name).exists()]
+        return [folder / name for name in made]
 
     def report(self, path: str | Path, *, box: Box | None = None) -> Path:
         """Write the report, one page of HTML; `box` is where the arm will work, ranges in mm.
@@ -253,3 +271,22 @@ class Calibrated(WithVerdict, AsArm):
             _, ax = plt.subplots(figsize=size, layout="constrained")
         draw(self, ax)
         return ax
+
+
+def _parameters_csv(rows: Sequence[Mapping[str, Any]], verdict: Verdict) -> str:
+    """Parameters as CSV, below who wrote it and a verdict that is not simply calibrated."""
+    text = io.StringIO()
+    said = "" if verdict.level == "calibrated" else f". {verdict.words}"
+    text.write(f"# {MADE}{said}\n")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("name", "unit", "nominal", "estimate", "change", "std", "known_from"))
+    for row in rows:
+        change = row["estimate"] - row["nominal"]
+        numbers = (
+            f"{row['nominal']:.12g}",
+            f"{row['estimate']:.12g}",
+            f"{change:.6g}",
+            "" if math.isnan(row["std"]) else f"{row['std']:.6g}",
+        )
+        writer.writerow((row["name"], row["unit"], *numbers, row["known_from"]))
+    return text.getvalue()

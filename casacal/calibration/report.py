@@ -13,8 +13,8 @@ from casacal.calibration import tables
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.motion import Tried, tip_extremes
 from casacal.calibration.report_pictures import LOOKED_AT, Part, Touches, face_maps, histograms, row_plots
-from casacal.calibration.result_parts import closing as closing_part
-from casacal.calibration.result_parts import geometry, image_words, noise_part, parameter_rows, verdict_lines
+from casacal.calibration.result_json import closing as closing_part
+from casacal.calibration.result_json import geometry, image_words, noise_part, parameter_rows, verdict_lines
 from casacal.calibration.verdict import WithVerdict
 from casacal.deployment.result import Level
 from casacal.effects.selection import VERY_STRONG

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from casacal.calibration import tables
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.result_parts import image_words, verdict_lines
+from casacal.calibration.result_json import image_words, verdict_lines
 from casacal.calibration.verdict import (
     VERIFY,
     WithVerdict,

@@ -11,7 +11,7 @@ import numpy as np
 from casacal import wording
 from casacal.calibration.calibration import NOT_NEEDED, Calibration, parts_of
 from casacal.calibration.motion import tip_error
-from casacal.calibration.result_parts import parameter_rows
+from casacal.calibration.result_json import parameter_rows
 from casacal.pages.drawing import fixed, mm, shortened, shown_unit
 from casacal.uncertainty.identifiability import NullDirection, WeakDirection, correlated_pairs
 from casacal.wording import capital, listed, sized

@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Calibrate as the options say; returns 0, or 1 when the result must not be used."""
     from casacal.calibration.calibrate import calibrate
-    from casacal.calibration.result_json import FILES
+    from casacal.calibration.calibrated import FILES
     from casacal.files import check_writable
     from casacal.kernels.losses import huber, tukey
     from casacal.model.problem_file import load_problem
@@ -137,7 +137,7 @@ def _since(options: argparse.Namespace) -> tuple[dict[str, float | None], list[s
 
 def _report(calibration: Calibrated, source: ProblemFile, box: Box | None, options: argparse.Namespace) -> int:
     """Print the answer in the requested form and write the files; returns 0 or 1."""
-    from casacal.calibration.result_json import calibration_document, write_calibration
+    from casacal.calibration.result_json import calibration_document
     from casacal.calibration.summary import MOST_LINES, brief, summary
     from casacal.calibration.tables import corrected_words
     from casacal.model.problem_text import FILL_IN
@@ -172,7 +172,7 @@ def _report(calibration: Calibrated, source: ProblemFile, box: Box | None, optio
         room = MOST_LINES - len(wrapped(last))
         say_lines(brief(calibration, verdict, about=about, out=folder, expected=expected, width=width(), room=room))
     if folder is not None:
-        write_calibration(calibration, Path(folder), command=options.typed, box=box)
+        calibration.save(folder, command=options.typed, box=box)
     if not options.json and (folder is not None or not options.verbose):
         say("\n".join(wrapped(last)))
     return FAILED if denied else DONE

@@ -81,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Simulate as the options say; returns 0."""
-    from casacal.calibration.truth import sample_paths, write_simulation
+    from casacal.calibration.result_json import sample_paths, write_simulation
     from casacal.fit.bound_problem import bind
     from casacal.model.problem_file import load_problem
     from casacal.simulation.cell import Cell

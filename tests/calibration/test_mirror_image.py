@@ -29,7 +29,7 @@ from casacal import (
     tool_point,
 )
 from casacal.calibration.mirror import mirror_image, misfits, patterns
-from casacal.calibration.result_parts import image_words
+from casacal.calibration.result_json import image_words
 from casacal.cli.main import main
 from casacal.data.samples import Measurements
 from casacal.errors import ProblemError
