@@ -30,7 +30,6 @@ from casacal.errors import CasacalError
 from casacal.files import MADE, jsonable, together, write_json, write_text
 from casacal.planning.cures import Cure
 from casacal.uncertainty.identifiability import Identifiability
-from casacal.uncertainty.moves import PriorMoves
 from casacal.uncertainty.tip_error import Box
 from casacal.values import Array
 from casacal.wording import figures
@@ -104,16 +103,6 @@ class Calibrated(WithVerdict, AsArm):
     def cures(self) -> tuple[Cure, ...]:
         """Next steps, best first, with the tip error after each; empty where the verdict denies the result."""
         return () if self.denied else self.unjudged.cures
-
-    @property
-    def advice(self) -> tuple[str, ...]:
-        """Cure of each null, then each weak direction, in the words of `cures`; none needed if it moves no tip."""
-        return self.unjudged.advice
-
-    @property
-    def prior_moves(self) -> PriorMoves:
-        """How far arm and tool moved beyond what their priors allow, all together."""
-        return self.unjudged.prior_moves
 
     @property
     def identifiability(self) -> Identifiability:

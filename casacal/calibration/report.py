@@ -9,12 +9,21 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from casacal.calibration import tables
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.motion import Tried, tip_extremes
 from casacal.calibration.report_pictures import LOOKED_AT, Part, Touches, face_maps, histograms, row_plots
 from casacal.calibration.result_json import closing as closing_part
 from casacal.calibration.result_json import geometry, image_words, noise_part, parameter_rows, verdict_lines
+from casacal.calibration.summary import (
+    constant_table,
+    correlation_table,
+    cure_table,
+    direction_table,
+    effect_table,
+    left_out_table,
+    parameters_table,
+    residual_table,
+)
 from casacal.calibration.verdict import WithVerdict
 from casacal.deployment.result import Level
 from casacal.effects.selection import VERY_STRONG
@@ -293,8 +302,8 @@ def report_page(
     each = tuple(Touches.of(calibration, i) for i in range(len(calibration.fit.samples)))
     problem, verdict, denied = calibration.fit.problem, calibration.verdict, calibration.denied
     noise, closing = noise_part(calibration.unjudged), closing_part(calibration.result, calibration.seconds)
-    parameters, held = tables.parameters(calibration)
-    costly, harmless = tables.directions(calibration)
+    parameters, held = parameters_table(calibration)
+    costly, harmless = direction_table(calibration)
     context = {
         "title": f"Calibration of {problem.robot.name} ({calibration.source.name})",
         "document": document,
@@ -314,8 +323,8 @@ def report_page(
         "image": image_words(calibration, verdict),
         "figures": _figures(calibration),
         "measured": [measured(touches, geometry(calibration.fit, calibration.used_x)["planes"]) for touches in each],
-        "residuals": tables.residuals(calibration),
-        "left_out": tables.left_out(calibration),
+        "residuals": residual_table(calibration),
+        "left_out": left_out_table(calibration),
         "noise": noise,
         "noise_words": _noise(calibration, noise),
         "cell": cell_as_found(calibration),
@@ -325,12 +334,12 @@ def report_page(
         "expected": None if denied else expected_error(each, box),
         "parameters": parameters if denied else replace(parameters, rows=[_marked(row) for row in parameters.rows]),
         "held": held,
-        "correlations": None if denied else tables.correlations(calibration),
-        "cures": None if denied else tables.next_steps(calibration),
+        "correlations": None if denied else correlation_table(calibration),
+        "cures": None if denied else cure_table(calibration),
         "directions": costly,
         "harmless": harmless,
-        "constants": None if denied else tables.constants(calibration),
-        "effects": tables.effects(calibration),
+        "constants": None if denied else constant_table(calibration),
+        "effects": effect_table(calibration),
         "tried": _tried(calibration.tried),
         "very_strong": f"{VERY_STRONG:g}",
         "worst": worst_rows(each),

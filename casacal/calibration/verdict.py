@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
-from casacal.calibration.calibration import FAR, LACK_OF_FIT, Calibration, more_than_stated
+from casacal.calibration.before_fit import labels_alike, repeated
+from casacal.calibration.calibration import FAR, LACK_OF_FIT, Calibration, parts_of
 from casacal.calibration.finding import Finding
 from casacal.calibration.motion import tip_extremes
 from casacal.calibration.numbers import SCALE, TOOL, without_its_likes
+from casacal.data.samples import Measurements
 from casacal.deployment.result import Verdict
 from casacal.effects.selection import at_most, errors_are_shared
 from casacal.effects.trusted import COVERED
@@ -177,13 +179,17 @@ def _tool_elsewhere(calibration: Calibration) -> Doubt | None:
 
 
 def _repeated_rows(calibration: Calibration) -> Doubt | None:
-    said = " ".join(str(finding).removeprefix("warning: ") for finding in calibration.repeated)
+    measured = Measurements.of(calibration.samples)
+    pairs = zip(measured.names, measured.sets, strict=True)
+    found = (replace(each, instrument=name) for name, some in pairs for each in repeated(some))
+    said = " ".join(str(each).removeprefix("warning: ") for each in found if each.severity == "warning")
     step = "remove the copies, or touch those places again"
     return Doubt("some rows are copies of others", said, step) if said else None
 
 
 def _labels_alike(calibration: Calibration) -> Doubt | None:
-    said = " ".join(str(finding).removeprefix("warning: ") for finding in calibration.labels_alike)
+    found = labels_alike(calibration.bare.problem, Measurements.of(calibration.samples))
+    said = " ".join(str(each).removeprefix("warning: ") for each in found)
     step = "write one label where they are the same, and calibrate again"
     return Doubt("some labels hardly differ from others", capital(said), step) if said else None
 
@@ -213,8 +219,13 @@ def _noise(calibration: Calibration) -> Doubt | None:
         advice = "The stated noise is too large, and so are the standard deviations. Lower noise_std."
         return Doubt("the stated noise is too large", f"{said}. {advice}")
     if noise.scale:
+        factors = {name: fit.scale[name] for name in parts_of(fit) if name in fit.scale}
+        more = [f"{name} {factor:.2g}" for name, factor in factors.items() if factor > NOISE_BAND[1]]
+        right = [name for name, factor in factors.items() if factor <= NOISE_BAND[1]]
+        others = f", {' and '.join(right)} as stated" if right else ""
+        which = f"Times the stated noise: {', '.join(more)}{others}. " if more else ""
         advice = (
-            f"{more_than_stated(fit, NOISE_BAND[1])}All figures use the noise as found. Possible causes: poor joint "
+            f"{which}All figures use the noise as found. Possible causes: poor joint "
             "repeatability, transmission error of the motors' gears (state the gear ratios), a face that is not flat, "
             f"a tool that is not where the problem file says; {_what_check_says(calibration)}."
         )

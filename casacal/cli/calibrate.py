@@ -138,8 +138,7 @@ def _since(options: argparse.Namespace) -> tuple[dict[str, float | None], list[s
 def _report(calibration: Calibrated, source: ProblemFile, box: Box | None, options: argparse.Namespace) -> int:
     """Print the answer in the requested form and write the files; returns 0 or 1."""
     from casacal.calibration.result_json import calibration_document
-    from casacal.calibration.summary import MOST_LINES, brief, summary
-    from casacal.calibration.tables import corrected_words
+    from casacal.calibration.summary import MOST_LINES, brief, corrected_words, summary
     from casacal.model.problem_text import FILL_IN
     from casacal.uncertainty.tip_error import accuracy_in_box
 
