@@ -7,14 +7,12 @@ made in all rows explains them.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
-from casacal.calibration.faults import MOST_FACES, SUSPICIOUS, explained
+from casacal.calibration.faults import MOST_FACES, SUSPICIOUS, exchanged, explained
 from casacal.calibration.finding import Finding, misfit
-from casacal.data.columns import Labels
 from casacal.data.samples import Samples, joined
 from casacal.errors import CasacalError
 from casacal.fit.bound_problem import bind
@@ -131,12 +129,9 @@ def _exchanged(problem: Problem, good: Samples, rest: Samples) -> tuple[str, str
     """Name, cause and cure of two labels that are exchanged in some rows alone; None where none are."""
     column = problem.instrument.groups
     names = () if column is None else rest.faces(column).names
-    for one, two in combinations(range(len(names)), 2) if len(names) <= MOST_FACES else ():
-        labels = rest.faces(column)
-        codes = labels.codes.copy()
-        codes[labels.codes == one], codes[labels.codes == two] = two, one
-        mended = replace(rest, labels={**rest.labels, column or "": Labels(names, codes)})
+    for one, two in combinations(names if len(names) <= MOST_FACES else (), 2):
+        mended = exchanged(rest, column=column or "", names={one: two, two: one})
         if misfit(problem, joined(good, mended)) <= SUSPICIOUS:
-            cause = f"'{names[one]}' and '{names[two]}' seem to be exchanged"
+            cause = f"'{one}' and '{two}' seem to be exchanged"
             return "labels exchanged", cause, "Correct the labels there"
     return None

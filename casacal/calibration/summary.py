@@ -422,14 +422,14 @@ def _opening(calibration: Calibration, name: str) -> str:
         rows += f", {len(calibration.aside_lines)} set aside"
     if calibration.copies:
         rows += f", {calibration.copies} {'copy' if calibration.copies == 1 else 'copies'} left out"
-    column, labels = fit.problem.instrument.groups or "", measured.sets[0].labels
     taken = ""
     if len(measured.sets) > 1:
         taken = "".join(
             f"{len(some)} of the {each}, " for each, some in zip(measured.names, measured.sets, strict=True)
         )
-    elif column in labels and (groups := len(labels[column].names)):
-        taken = f"{groups} {column}{'s' if groups != 1 else ''}, "
+    elif (labels := measured.sets[0].labels.get(column := fit.problem.instrument.groups or "")) is not None:
+        groups = len(labels.names)
+        taken = f"{groups} {column}{'s' if groups != 1 else ''}, " if groups else ""
     said = (
         f"casacal {__version__}, {fit.problem.robot.name} ({name}), {calibration.method}\n"
         f"{calibration.result.message}\n"
