@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
 from typing import get_args
@@ -19,7 +18,7 @@ from casacal.data.text import is_number
 from casacal.fit.bound_problem import ABSURD, BoundProblem, each_alone
 from casacal.fit.nominal import nominal_sight
 from casacal.model.geometry import fitted_plane
-from casacal.model.instrument import OVERTRAVEL, Probe, readings_within
+from casacal.model.instrument import OVERTRAVEL, readings_within
 from casacal.model.problem import Problem
 from casacal.model.robot import random_joints
 from casacal.values import Array, Rows
@@ -94,7 +93,16 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
             severity: Severity = "warning" if little else "error"
             findings.append(Finding(severity, OUTSIDE, cause, fix, _lines(samples, bad)))
     for name, kind in instrument.columns.items():
-        findings += _beyond_limits(samples, name, kind, instrument.reading_limits.get(name, (-math.inf, math.inf)))
+        factor, ends = WRITTEN[kind][1], instrument.reading_limits.get(name, (-math.inf, math.inf))
+        value, (low, high) = samples.columns[name] * factor, (end * factor for end in ends)
+        bad = (value < low) | (value > high)
+        if bad.any():
+            many, span = counted(int(bad.sum()), "value"), f"{low:g} to {high:g}{SHOWN_UNITS[kind]}"
+            mirrored = ((-value >= low) & (-value <= high)).all()
+            fix = "Check these rows, the column's unit, or the limits"
+            fix = f"Reverse the sign of column '{name}'" if mirrored else fix
+            cause = f"{many} of '{name}' outside its reading_limits, {span}"
+            findings.append(Finding("error", OUT_OF_LIMITS, cause, fix, _lines(samples, bad)))
     for i, (lower, upper) in enumerate(zip(*problem.robot.limits, strict=True)):
         bad = (samples.joints[:, i] < lower - 0.02) | (samples.joints[:, i] > upper + 0.02)
         bad &= not (problem.robot.revolute[i] and upper - lower == 2 * math.pi)  # it turns on and on, however counted
@@ -103,21 +111,6 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
             fix = "Check the order, signs and units of the joint columns, or the limits"
             findings.append(Finding("warning", f"joint {i + 1} outside its limits", cause, fix, _lines(samples, bad)))
     return findings
-
-
-def _beyond_limits(samples: Samples, name: str, kind: Dimension, ends: tuple[float, float]) -> Iterator[Finding]:
-    """An error on readings outside the `reading_limits` of a user-defined instrument."""
-    _, factor, _ = WRITTEN[kind]
-    reading, (low, high) = samples.columns[name] * factor, (end * factor for end in ends)
-    bad = (reading < low) | (reading > high)
-    if bad.any():
-        unit = SHOWN_UNITS[kind]
-        cause = f"{counted(int(bad.sum()), 'value')} of '{name}' outside its reading_limits, {low:g} to {high:g}{unit}"
-        mirrored = ((-reading >= low) & (-reading <= high)).all()
-        fix = (
-            f"Reverse the sign of column '{name}'" if mirrored else "Check these rows, the column's unit, or the limits"
-        )
-        yield Finding("error", OUT_OF_LIMITS, cause, fix, _lines(samples, bad))
 
 
 def _declared(least: float, most: float, low: float, high: float) -> str:
@@ -253,7 +246,13 @@ def odd_labels(problem: Problem, samples: Samples) -> list[Finding]:
     counts = dict(zip(labels.names, np.bincount(labels.codes, minlength=len(labels.names)).tolist(), strict=True))
     declared = {label for known in problem.instrument.known_columns.values() for label in known}
     alike = _alike(counts) if len(counts) <= MOST_LABELS else {}
-    findings, totals = [], _rows_of_unknowns(problem, counts, column)
+    findings, totals, instrument = [], dict[str, int](), problem.instrument
+    for key in (key for key, unknown in instrument.unknowns.items() if unknown.per == column):
+        shared = Counter[str]()  # the rows that determine a label's unknowns, with those that share them, as a step's
+        for name, count in counts.items():
+            shared[instrument.instance(key, name)] += count
+        for name in counts:
+            totals[name] = min(totals.get(name, shared[name]), shared[name])
     for name, rows in labels.rows().items():
         if name in declared:
             continue
@@ -323,18 +322,6 @@ def _slip(one: str, two: str, *, both_common: bool) -> bool:
     return short[start:] == long[start + 1 :] and long[start].isalpha()
 
 
-def _rows_of_unknowns(problem: Problem, counts: dict[str, int], column: str) -> dict[str, int]:
-    """Number of rows that determine each label's unknowns, with those of labels that share them, such as a step's."""
-    instrument, fewest = problem.instrument, dict[str, int]()
-    for key in (key for key, unknown in instrument.unknowns.items() if unknown.per == column):
-        totals = Counter[str]()
-        for name, count in counts.items():
-            totals[instrument.instance(key, name)] += count
-        for name in counts:
-            fewest[name] = min(fewest.get(name, totals[name]), totals[name])
-    return fewest
-
-
 SMALLEST_TILT = 5.0
 """Degrees between plunger and normal below which touches count as normal; 10 or more remove the blindness."""
 SMALLEST_FACE = 0.05  # fraction of the arm's reach that touches of a face should span
@@ -374,7 +361,22 @@ def setup_findings(bound: BoundProblem) -> list[Finding]:
         cause = f"the touches cover a small region for an arm that reaches {reach:.0f} mm: {', '.join(small)}"
         fix = "Use larger faces, or spread the touches over them"
         findings.append(Finding("warning", "faces too small", cause, fix))
-    return findings + _directions(bound, probe, np.array(normals))
+    same, angles = (
+        "there is only one face",
+        np.degrees(np.arccos(np.clip(np.abs(normals @ np.transpose(normals)), 0, 1))),
+    )
+    if len(normals) > 1:
+        same = f"all {len(normals)} faces look the same way, within {max(angles.max(), 1):.0f} degrees"
+    if float(angles.max()) < SMALLEST_ANGLE and not probe.knows_angles:
+        fix = "Add a face at an angle; three at right angles are best"
+        findings.append(Finding("warning", "faces nearly parallel", same, fix))
+    # on faces of certified angles a sliding joint is a ruler
+    if not probe.steps and not (probe.knows_angles and not bound.problem.robot.revolute.all()):
+        cause = "faces determine angles; the size of the arm comes from the prior"
+        cause += " and a few millimetres of dial travel" if probe.column is not None else ""
+        fix = "Measure one known length, such as a gauge block's step, declared as a Step in the problem"
+        findings.append(Finding("remark", NO_LENGTH, cause, fix))
+    return findings
 
 
 def enough_rows(bound: BoundProblem) -> list[Finding]:
@@ -385,30 +387,6 @@ def enough_rows(bound: BoundProblem) -> list[Finding]:
         return []
     fix = f"Take at least {math.ceil(ROWS_PER_UNKNOWN * unknowns)} rows, or hold parameters with --fix"
     return [Finding("error" if ratio < 1 else "warning", "few rows", f"{bound.rows} rows for {unknowns} unknowns", fix)]
-
-
-def _directions(bound: BoundProblem, probe: Probe, normals: Array) -> list[Finding]:
-    findings = []
-    same = "there is only one face"
-    angles = np.degrees(np.arccos(np.clip(np.abs(normals @ normals.T), 0, 1)))
-    if len(normals) > 1:
-        same = f"all {len(normals)} faces look the same way, within {max(angles.max(), 1):.0f} degrees"
-    if float(angles.max()) < SMALLEST_ANGLE and not probe.knows_angles:
-        fix = "Add a face at an angle; three at right angles are best"
-        findings.append(Finding("warning", "faces nearly parallel", same, fix))
-    # on faces of certified angles a sliding joint is a ruler
-    ruler = probe.knows_angles and not bound.problem.robot.revolute.all()
-    if not probe.steps and not ruler:
-        findings.append(
-            Finding(
-                "remark",
-                NO_LENGTH,
-                "faces determine angles; the size of the arm comes from the prior"
-                + (" and a few millimetres of dial travel" if probe.column is not None else ""),
-                "Measure one known length, such as a gauge block's step, declared as a Step in the problem",
-            )
-        )
-    return findings
 
 
 def upside_down(bound: BoundProblem, scatter: float) -> list[Finding]:

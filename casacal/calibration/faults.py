@@ -10,6 +10,7 @@ from itertools import chain, combinations, permutations
 
 import numpy as np
 
+from casacal.calibration.conventions import in_problem, patterns
 from casacal.calibration.finding import (
     FIRST_STEPS,
     STEPS,
@@ -23,7 +24,6 @@ from casacal.calibration.finding import (
     weighted,
 )
 from casacal.calibration.numbers import TOOL, alike_numbers, numbers, tool_keys
-from casacal.calibration.patterns import in_problem, patterns
 from casacal.calibration.set_aside import robust_fit, studentised_outliers
 from casacal.data.columns import Labels
 from casacal.data.samples import Samples

@@ -46,7 +46,17 @@ def changed_midway(problem: Problem, samples: Samples) -> Finding | None:
             continue
         line = rest.lines[-1 if backwards else 0]
         where = f"up to line {line}" if backwards else f"from line {line} on"
-        about, cause, fix = _what_changed(problem, good, rest)
+        base = misfit(problem, rest)
+        if (named := _exchanged(problem, good, rest)) is not None:
+            about, cause, fix = named
+        elif base > SUSPICIOUS and (own := explained(problem, rest, base, whole=rest)) is not None:
+            about, cause, fix = own.finding.about, own.finding.cause, f"Mend these rows alone: {own.finding.fix}"
+        else:
+            about, cause = SOMETHING, "they fit by themselves too, but not to the others"
+            if base > SUSPICIOUS:
+                cause = f"they do not fit ({times(base)} times the stated noise by themselves)"
+            fix = "Find out what was changed there: arm, base, tool, dial, faces or the recording; measure those rows "
+            fix += "again"
         alone = "the later lines fit by themselves" if backwards else "the lines before fit by themselves"
         return Finding("error", f"{about} {where}", f"{alone}, and {where} {cause}", fix)
     return None
@@ -89,22 +99,6 @@ def _surprising(problem: Problem, good: Samples, rest: Samples) -> bool:
     told = (jacobian[:, ~known] == 0).all(axis=1)
     off = np.abs(later.residual(found.x)[told]) / np.sqrt(1 + spread[told])
     return bool(off.size) and float(np.median(off)) > FAR_OFF
-
-
-def _what_changed(problem: Problem, good: Samples, rest: Samples) -> tuple[str, str, str]:
-    """Name, cause and cure of what is otherwise in some rows than in the good ones."""
-    base = misfit(problem, rest)
-    if (named := _exchanged(problem, good, rest)) is not None:
-        return named
-    if base > SUSPICIOUS and (own := explained(problem, rest, base, whole=rest)) is not None:
-        return own.finding.about, own.finding.cause, f"Mend these rows alone: {own.finding.fix}"
-    cause = (
-        f"they do not fit ({times(base)} times the stated noise by themselves)"
-        if base > SUSPICIOUS
-        else ("they fit by themselves too, but not to the others")
-    )
-    fix = "Find out what was changed there: arm, base, tool, dial, faces or the recording; measure those rows again"
-    return SOMETHING, cause, fix
 
 
 def labels_exchanged(problem: Problem, samples: Samples, moved: Samples) -> Finding | None:

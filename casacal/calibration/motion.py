@@ -40,7 +40,10 @@ class Motion:
     @staticmethod
     def of(fit: BoundProblem, result: Result, used: Array, corrected: Collection[str] = ()) -> Motion:
         """Motion of a fit whose arm is used at `used` (n,); corrected effects that are in doubt count as errors too."""
-        doubted = doubtful(fit, corrected) if corrected else set()
+        # something else may be the cause of an effect at the largest accepted size; but where rows see the tip itself,
+        # a correction brings it nearer whatever it is
+        large = at_most(fit) if corrected and not sees_the_tip(fit) else ()
+        doubted = {effect.key for effect in large} & set(corrected)
         sure = used_arm(fit, result, set(corrected) - doubted) if doubted else used
         arm, estimate = moving(fit, result.x)
         x, less = (each[arm.free] if isinstance(arm, ArmAlone) else each for each in (used, sure))
@@ -61,7 +64,16 @@ def used_arm(fit: BoundProblem, result: Result, corrected: Collection[str]) -> A
         return result.x
     arm, x = moving(fit, result.x)
     assert isinstance(arm, ArmAlone)
-    field = np.vstack([_over_workspace(fit, arm, x), _over_rows(fit, result.x)[:, arm.free]])
+    # columns of the rows count as unknown: no geometry can stand for what an effect does by them
+    joints, everything = workspace_joints(fit.problem.robot), arm.expand(x)
+    tips = np.asarray(fit.blocks[0].posture("tip", everything, joints, usual=False)[0])
+    field = without_rigid(fit.tip_jacobian(everything, joints, 0, arm.free, usual=False), tips) / math.sqrt(len(joints))
+    if sees_the_tip(fit):  # freed of station poses
+        some = fit.thinned(MOST_ROWS)
+        slopes = some.jacobian(result.x) * float(np.median(some.noise[some.leading]))
+        stations = slopes[:, fit.datum]
+        slopes -= stations @ np.linalg.lstsq(stations, slopes, rcond=None)[0]
+        field = np.vstack([field, (slopes / math.sqrt(len(some.measured)))[:, arm.free]])
     geometry = ~np.array([bool(key) for key in effect_keys(arm)], dtype=bool) & ~arm.datum
     lost = field[:, left[arm.free]] @ x[left[arm.free]]
     moves = np.linalg.lstsq(field[:, geometry] * arm.start_std[geometry], lost, rcond=SMALLEST)[0]
@@ -72,39 +84,9 @@ def used_arm(fit: BoundProblem, result: Result, corrected: Collection[str]) -> A
     return np.asarray(faces.expand(lm(faces, start=used[fit.datum]).x))
 
 
-def doubtful(fit: BoundProblem, corrected: Collection[str]) -> set[str]:
-    """Corrected effects at the largest accepted size: something else may be their cause.
-
-    None where rows see the tip itself, which such a correction brings nearer whatever it is.
-    """
-    return set() if sees_the_tip(fit) else {effect.key for effect in at_most(fit)} & set(corrected)
-
-
 def sees_the_tip(fit: BoundProblem) -> bool:
     """Whether every row measures the tip itself, all three axes."""
     return all(instrument.words.accuracy for instrument in fit.problem.instruments)
-
-
-def _over_workspace(fit: BoundProblem, arm: ArmAlone, x: Array) -> Array:
-    """Tip Jacobian (3 M, s) over M workspace poses, apart from the position of the base, over sqrt(M).
-
-    Columns of the rows count as unknown: no geometry can stand for what an effect does by them.
-    """
-    joints, everything = workspace_joints(fit.problem.robot), arm.expand(x)
-    tips = fit.blocks[0].posture("tip", everything, joints, usual=False)[0]
-    field = without_rigid(fit.tip_jacobian(everything, joints, 0, arm.free, usual=False), np.asarray(tips))
-    return np.asarray(field / math.sqrt(len(joints)))
-
-
-def _over_rows(fit: BoundProblem, x: Array) -> Array:
-    """Tip Jacobian (k, n) at N rows over sqrt(N), freed of station poses; empty where rows do not see the tip."""
-    if not sees_the_tip(fit):
-        return np.zeros((0, fit.unknowns))
-    some = fit.thinned(MOST_ROWS)
-    slopes = some.jacobian(x) * float(np.median(some.noise[some.leading]))
-    stands = slopes[:, fit.datum]
-    slopes -= stands @ np.linalg.lstsq(stands, slopes, rcond=None)[0]
-    return np.asarray(slopes / math.sqrt(len(some.measured)))
 
 
 def effect_keys(arm: ArmProblem) -> tuple[str, ...]:

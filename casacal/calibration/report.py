@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.motion import Tried, tip_extremes
-from casacal.calibration.report_pictures import LOOKED_AT, Part, Touches, face_maps, histograms, row_plots
+from casacal.calibration.report_pictures import LOOKED_AT, Touches, face_maps, histograms, row_plots
 from casacal.calibration.result_json import closing as closing_part
 from casacal.calibration.result_json import geometry, image_words, noise_part, parameter_rows, verdict_lines
 from casacal.calibration.summary import (
@@ -81,14 +81,22 @@ def measured(touches: Touches, planes: Mapping[str, Any]) -> dict[str, Any]:
 
 def worst_rows(each: Sequence[Touches]) -> dict[str, Any]:
     """The rows of all instruments that fit worst, most telling first, and how many are beyond `LARGE`."""
-    worst: list[tuple[float, int, list[object]]] = []
+    worst: list[tuple[float, int, list[str]]] = []
     beyond, calibration = 0, each[0].calibration
     for name, part in ((of.name, part) for of in each for part in of.parts):
         white = np.abs(part.after / part.noise).max(axis=1)
         beyond += int((white > LARGE).sum())
         for i in np.argsort(-white, kind="stable")[:SHOWN].tolist():
-            line, *cells = _row(part, i, float(white[i]))
-            worst.append((-float(white[i]), int(part.lines[i]), [f"{name} {line}".strip(), *cells]))
+            component = int(np.argmax(np.abs(part.after[i] / part.noise[i])))
+            cells = [
+                f"{name} {part.lines[i]}".strip(),
+                "–" if part.labels is None else shortened(part.labels[i], 40),
+                "held\N{NO-BREAK SPACE}out" if part.held else "fitted",
+                fixed(float(part.after[i, component]), signed=True),
+                fixed(float(white[i]), 1),
+                "–" if part.held else fixed(float(part.weight[i]), 2),
+            ]
+            worst.append((-float(white[i]), int(part.lines[i]), cells))
     worst.sort(key=lambda entry: entry[:2])
     titles = ["Line", capital(calibration.fit.problem.words.group), "Rows", "#Residual, mm"]
     titles += [f"#Times {calibration.noise_words}", *(["#Weight"] if calibration.result.loss is not None else [])]
@@ -141,19 +149,6 @@ def _range(values: Array, digits: int) -> str:
 
 def _triple(values: Any, digits: int) -> str:
     return ", ".join(fixed(float(value), digits) for value in values)
-
-
-def _row(part: Part, i: int, white: float) -> list[str]:
-    component = int(np.argmax(np.abs(part.after[i] / part.noise[i])))
-    labels = part.labels
-    return [
-        str(part.lines[i]),
-        "–" if labels is None else shortened(labels[i], 40),
-        "held\N{NO-BREAK SPACE}out" if part.held else "fitted",
-        fixed(float(part.after[i, component]), signed=True),
-        fixed(white, 1),
-        "–" if part.held else fixed(float(part.weight[i]), 2),
-    ]
 
 
 def cell_as_found(calibration: Calibration) -> Markup | None:
