@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from casacal.calibration.agreement import disagreement, not_the_same
 from casacal.calibration.before_fit import outside, rounded, sign_before_fit
 from casacal.calibration.conventions import mirror_image
 from casacal.calibration.finding import Finding
 from casacal.calibration.inputs import Reference
-from casacal.calibration.motion import Motion, Tried, among, sees_the_tip, used_arm
+from casacal.calibration.motion import Motion, Sensitivity, Tried, among, sees_the_tip, sensitivity, used_arm
 from casacal.calibration.numbers import borne_out, priors_of, tool_elsewhere_at, wrong_number, wrong_scale
-from casacal.calibration.sensitivity import Sensitivity, sensitivity
+from casacal.calibration.set_aside import disagreement, not_the_same
 from casacal.data.repeats import without_copies
 from casacal.data.samples import Measurements, Samples
 from casacal.deployment.result import MirrorImage

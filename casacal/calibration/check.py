@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from casacal.calibration.agreement import disagreement, not_the_same
 from casacal.calibration.before_fit import (
     NO_LENGTH,
     OUTSIDE,
@@ -30,7 +29,15 @@ from casacal.calibration.faults import ALIKE, EXPLAINED, MOVED, SUSPICIOUS, Misf
 from casacal.calibration.finding import Finding, misfit, quick_fit, size_of
 from casacal.calibration.midway import changed_midway, labels_exchanged
 from casacal.calibration.numbers import tool_elsewhere_at, tool_keys, without_its_likes, wrong_number, wrong_scale
-from casacal.calibration.set_aside import gross, off_their_face, robust_fit, single_rows, studentised_outliers
+from casacal.calibration.set_aside import (
+    disagreement,
+    gross,
+    not_the_same,
+    off_their_face,
+    robust_fit,
+    single_rows,
+    studentised_outliers,
+)
 from casacal.data.repeats import without_copies
 from casacal.data.samples import Measurements, Samples
 from casacal.effects.selection import dial_errors, effect_sizes_of, with_effects

@@ -628,7 +628,7 @@ def fresh_among(arm: CalibratedArm, source: ProblemFile, rows: Samples, *, other
     repeats = 0 if before is None else int(in_fitted_postures(fresh, source.problem.layout(), before).sum())
     if repeats >= SPENT * len(fresh):  # even wrong parameters predict these
         remarks.append(
-            f"{repeats} of {len(fresh)} rows are in postures that were fitted. They show that readings repeat, not that "
-            "the arm is right elsewhere: take rows in other postures."
+            f"{repeats} of {len(fresh)} rows are in postures that were fitted. They show that readings repeat, not "
+            "that the arm is right elsewhere: take rows in other postures."
         )
     return Opened(arm, source, fresh, copied, fitted, other, tuple(remarks))

@@ -199,8 +199,8 @@ def _wrong_number(bound: BoundProblem, alone: bool) -> list[Finding]:
             if not alone and _likelihood(wide) < _likelihood(stated):
                 return []  # errors that rows share pull a number far as well
             size = f"{_by(bound.problem, key, name, by)}, which is {abs(by) / prior:.2g} prior standard deviations"
-            if rivals := _rivals(bound, name, found):
-                return [_one_of(bound.problem, rivals, name, size)]
+            if several := _one_of_several(bound, name, found, size):
+                return several
             cause = f"{name} seems to differ from the problem file{size}; no other parameter is so far off"
             return [Finding("error", f"{name} elsewhere", cause, _fix(name, unit) + _tried(name, unit, by))]
     return []
@@ -219,8 +219,8 @@ def borne_out(bound: BoundProblem, name: str) -> bool:
     return abs(found.x[j]) < LITTLE.get(fit.units[j], 0.0) and found.converged and regions_borne_out(fit, found)
 
 
-def _rivals(bound: BoundProblem, name: str, freed: Result) -> dict[str, str]:
-    """Other numbers of tool, instrument and arm that explain the rows as well, each with its deviation.
+def _one_of_several(bound: BoundProblem, name: str, freed: Result, size: str) -> list[Finding]:
+    """An error on a number and others of tool, instrument and arm that explain the rows as well, if there are any.
 
     The instrument's own numbers come first, the tool before all others: it is what people exchange and mistype.
     """
@@ -228,11 +228,9 @@ def _rivals(bound: BoundProblem, name: str, freed: Result) -> dict[str, str]:
     own = dict.fromkeys(full for key, full in problem.full_names[0].items() if key not in problem.instrument.datum)
     tool = [problem.full_names[0][key] for key in tool_keys(problem)]
     groups = {**({"tool": tool} if tool else {}), **{key: [key] for key in own if key not in tool}}
-    return as_good(bound, groups | {each: [each] for each, *_ in priors_of(problem) if each != name}, freed)
-
-
-def _one_of(problem: Problem, rivals: Mapping[str, str], name: str, size: str) -> Finding:
-    """An error on one of several numbers that the rows cannot tell apart."""
+    rivals = as_good(bound, groups | {each: [each] for each, *_ in priors_of(problem) if each != name}, freed)
+    if not rivals:
+        return []
     probe = problem.instrument.probe
     zero = " and the zero of the dial" if probe is not None and probe.column is not None else ""
     said = [f"{'the ' if title == 'tool' else ''}{title} ({by})" for title, by in rivals.items()]
@@ -245,7 +243,7 @@ def _one_of(problem: Problem, rivals: Mapping[str, str], name: str, size: str) -
         f"Measure {first}, and correct in the problem file only what proves to be wrong: another choice fits as well "
         "and puts the flange elsewhere"
     )
-    return Finding("error", f"{listed([*rivals, name], 'or')} elsewhere", cause, fix)
+    return [Finding("error", f"{listed([*rivals, name], 'or')} elsewhere", cause, fix)]
 
 
 def wrong_scale(bound: ArmProblem, x: Array, covariance: Array) -> list[Finding]:

@@ -422,18 +422,17 @@ def _expected(calibration: Calibration) -> str:
 
 def _against(calibration: Calibration) -> list[tuple[str, str]]:
     """Reasons to refuse a result: for each a clause for the verdict's sentence, and a full sentence."""
-    found = [(clause, sentence(clause)) for clause in held_as_drawn(calibration)]  # it may look like wrong samples
-    found += [(clause, sentence(clause)) for clause in earlier_contradicted(calibration)]
-    found += [(clause, sentence(clause)) for clause in _out_of_reach(calibration)]
+    looks = (held_as_drawn, earlier_contradicted, _out_of_reach)  # the first may look like wrong samples
+    found = [(clause, sentence(clause)) for look in looks if (clause := look(calibration))]
     found += [
         (f"the samples look wrong ({error.about})", sentence(str(error).removeprefix("error: ").removesuffix(".")))
         for error in wrong_with_samples(calibration)
     ]
     if not calibration.result.converged:
         found.append(_unfinished(calibration))
-    found += [(clause, sentence(clause)) for clause in _missed_minimum(calibration)]
-    for look in (unexplained, priors_contradicted) if calibration.earlier is None else ():
-        found += [] if found else [(clause, sentence(clause)) for clause in look(calibration)]
+    for look in (_missed_minimum, *((unexplained, priors_contradicted) if calibration.earlier is None else ())):
+        if (not found or look is _missed_minimum) and (clause := look(calibration)):
+            found.append((clause, sentence(clause)))
     if calibration.result.converged and not math.isfinite(calibration.tip_std[1]):
         clause = "these samples do not bound the tip error"
         found.append((clause, "Neither the samples nor a prior determine every direction that moves the tip."))
@@ -491,49 +490,49 @@ def _unfinished(calibration: Calibration) -> tuple[str, str]:
     )
 
 
-def _missed_minimum(calibration: Calibration) -> list[str]:
-    """Reasons why the estimate is not the minimum; empty where it is.
+def _missed_minimum(calibration: Calibration) -> str:
+    """Why the estimate is not the minimum; empty where it is.
 
     A method that promises the minimum must meet the reference; any other may miss it by what the estimate's own spread
     explains: twice the cost above the minimum is then about chi-square with as many degrees of freedom as unknowns.
     """
     reference = calibration.reference
     if reference is None or reference.agrees or not calibration.result.converged:
-        return []
+        return ""
     if not reference.result.converged:
-        return [f"{reference.solver} did not finish, so nothing confirms the minimum; another --reference may"]
+        return f"{reference.solver} did not finish, so nothing confirms the minimum; another --reference may"
     if minimises(calibration.method):
-        return [f"the costs of {calibration.method} and {reference.solver} differ, so one of them missed the minimum"]
+        return f"the costs of {calibration.method} and {reference.solver} differ, so one of them missed the minimum"
     if 2 * (calibration.result.cost - reference.cost) <= calibration.fit.unknowns:
-        return []
-    return [
+        return ""
+    return (
         f"{calibration.method} ended at a cost of {calibration.result.cost:.4g}, far above the {reference.cost:.4g} "
         f"that {reference.solver} found"
-    ]
+    )
 
 
-def _out_of_reach(calibration: Calibration) -> list[str]:
+def _out_of_reach(calibration: Calibration) -> str:
     """Numbers that wandered off where neither samples nor a prior hold them."""
     moved = {name: calibration.used_x[j] for name, _, _, j in calibration.fit.parameters() if j is not None}
     far = [name for name, by in moved.items() if not abs(by) < FARTHEST]
     if not far or not calibration.result.converged:
-        return []
+        return ""
     said = f"{far[0]} moved by {moved[far[0]]:.3g}, as no arm does"
-    return [f"{said}: neither samples nor a prior hold it (--prior {far[0]}=STD)"]
+    return f"{said}: neither samples nor a prior hold it (--prior {far[0]}=STD)"
 
 
-def held_as_drawn(calibration: Calibration) -> list[str]:
+def held_as_drawn(calibration: Calibration) -> str:
     """Faces and the like that took over the drawn arm's errors, so that the arm was fitted to these."""
     names = dict.fromkeys(slot.key for slot in calibration.fit.slots if slot.held_as_drawn)
     if not names or not calibration.fit.unknowns:
-        return []
-    return [
+        return ""
+    return (
         f"what was measured against is held where the arm as drawn has it ({', '.join(names)}), so the arm was fitted "
         "to its own errors; leave it free, or state in the problem where it is"
-    ]
+    )
 
 
-def unexplained(calibration: Calibration) -> list[str]:
+def unexplained(calibration: Calibration) -> str:
     """Residuals far above the noise that the fit hardly lowered, or lowered only by bending the arm out of shape."""
     ratio, low = calibration.noise.ratio, calibration.noise.low
     before, after = (calibration.metrics[when]["fit"] for when in ("before", "after"))
@@ -543,46 +542,46 @@ def unexplained(calibration: Calibration) -> list[str]:
     if calibration.fit.datum.any() and after["rmse_mm"] > WORSE * before["rmse_mm"]:
         else_found = larger_than_any(calibration)  # it cannot be corrected, and then decides more than the geometry
         also = f", and {else_found.clause}" if else_found else ""
-        return [f"the calibrated arm fits its own rows worse than the arm as drawn{also}"]
+        return f"the calibrated arm fits its own rows worse than the arm as drawn{also}"
     if low <= LACK_OF_FIT:
-        return []
+        return ""
     moved = float(calibration.moves.max(initial=0.0))
     said = f"the residuals are {times(ratio)} times what the stated noise explains"
     if after["rmse_mm"] > EXPLAINED * before["rmse_mm"]:
-        return [f"{said}, and calibrating hardly lowered them"]
+        return f"{said}, and calibrating hardly lowered them"
     if moved > FAR:
-        return [f"{said}, even though parameters moved by up to {moved:.0f} prior standard deviations"]
-    return []
+        return f"{said}, even though parameters moved by up to {moved:.0f} prior standard deviations"
+    return ""
 
 
 OVERSTATED = 0.3  # found over stated noise, surely below which rows count for a tenth of what they are worth
 CONTRADICTED = 1e-3  # chance below which new rows do not fit what an earlier result knows
 
 
-def earlier_contradicted(calibration: Calibration) -> list[str]:
+def earlier_contradicted(calibration: Calibration) -> str:
     """A reason where new rows contradict the earlier result, given what was loosened."""
     chance_of_rows = calibration.earlier_chance
     if calibration.earlier is None or not chance_of_rows < CONTRADICTED or not calibration.result.converged:
-        return []
+        return ""
     loosened = listed(list(calibration.earlier.loosened))
     what = f"something else than {loosened} has changed" if loosened else "something has changed"
-    return [
+    return (
         f"these rows contradict the earlier result ({chance(chance_of_rows)}): {what}, or rows are wrong. casacal "
         "changed looks for it; name it with --loosen (loosen=), or calibrate anew"
-    ]
+    )
 
 
-def priors_contradicted(calibration: Calibration) -> list[str]:
+def priors_contradicted(calibration: Calibration) -> str:
     """Priors that the samples contradict, and that yet decide most of where the tip is."""
     if not calibration.fit.unknowns:
-        return []
+        return ""
     (before, now), far = calibration.tip_std, float(calibration.moves.max(initial=0.0))
     worst = calibration.fit.names[int(np.argmax(calibration.moves))]
     if far > BENT and worst not in calibration.borne_out:
-        return [
+        return (
             f"{worst} moved by {times(far)} prior standard deviations. Either a sign, a unit or a label is wrong, or "
             "it is so far from what the problem says; state wider priors then (--prior, or --accuracy for the arm)"
-        ]
+        )
     drawn, scatter = calibration.metrics["before"]["fit"], prior_scatter(calibration.bare)
     before = calibration.flange_std[0]  # a tool's prior is no part of the arm's
     assert drawn is not None
@@ -591,17 +590,15 @@ def priors_contradicted(calibration: Calibration) -> list[str]:
     if math.isfinite(before) and now > as_drawn and scatter.chance_below(drawn["rmse_mm"]) < TOO_LOOSE:
         if calibration.noise.high < OVERSTATED:
             said = times(1 / calibration.noise.ratio)
-            return [
-                f"the stated noise is {said} times what the rows show, so that they hardly count; state it as it is"
-            ]
-        return [
+            return f"the stated noise is {said} times what the rows show, so that they hardly count; state it as it is"
+        return (
             f"the priors are too loose for this arm: they allow a tip error of {mm(before)} as drawn, but its "
             f"residuals suggest about {mm(max(as_drawn, LEAST_SHOWN))}, which is less than these priors leave after "
             "calibrating (--accuracy, --prior)"
-        ]
+        )
     if far <= FAR or now <= LEFT_TO_PRIORS * before:
-        return []
-    return [
+        return ""
+    return (
         f"the samples move parameters by up to {far:.0f} prior standard deviations, so these priors do not fit this "
         "arm, and yet most of the tip error depends on them"
-    ]
+    )
