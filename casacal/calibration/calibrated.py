@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import html
-import io
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -21,7 +18,6 @@ from casacal.calibration.saved import AsArm, parameter_table
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import WithVerdict
 from casacal.deployment.arm import CalibratedArm
-from casacal.deployment.result import Verdict
 from casacal.effects.selection import DialError, LeftOut
 from casacal.effects.trusted import Leverage
 from casacal.errors import CasacalError
@@ -198,10 +194,18 @@ class Calibrated(WithVerdict, AsArm):
         with together(folder, [*(name for name in FILES if name != "result.json"), "result.json"]) as place:
             write_text(place / "report.html", report_page(self, document, command=command, box=box))
             write_json(place / "result.json", document)
-            write_text(place / "parameters.csv", _parameters_csv(document["parameters"], self.verdict))
+            write_text(place / "parameters.csv", self._parameters_csv())
             save_plots(self, place)
             made = [name for name in FILES if (place / name).exists()]
         return [folder / name for name in made]
+
+    def _parameters_csv(self) -> str:
+        """Parameters as CSV, below who wrote it and a verdict that is not simply calibrated."""
+        said = "" if self.verdict.level == "calibrated" else f". {self.verdict.words}"
+        table = self.parameters.reset_index()
+        for name, form in (("nominal", "{:.12g}"), ("estimate", "{:.12g}"), ("change", "{:.6g}"), ("std", "{:.6g}")):
+            table[name] = ["" if math.isnan(value) else form.format(value) for value in table[name]]
+        return f"# {MADE}{said}\n{table.to_csv(index=False, lineterminator=chr(10))}"
 
     def report(self, path: str | Path, *, box: Box | None = None) -> Path:
         """Write the report, one page of HTML; `box` is where the arm will work, ranges in mm.
@@ -259,25 +263,6 @@ class Calibrated(WithVerdict, AsArm):
             _, ax = plt.subplots(figsize=size, layout="constrained")
         draw(self, ax)
         return ax
-
-
-def _parameters_csv(rows: Sequence[Mapping[str, Any]], verdict: Verdict) -> str:
-    """Parameters as CSV, below who wrote it and a verdict that is not simply calibrated."""
-    text = io.StringIO()
-    said = "" if verdict.level == "calibrated" else f". {verdict.words}"
-    text.write(f"# {MADE}{said}\n")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("name", "unit", "nominal", "estimate", "change", "std", "known_from"))
-    for row in rows:
-        change = row["estimate"] - row["nominal"]
-        numbers = (
-            f"{row['nominal']:.12g}",
-            f"{row['estimate']:.12g}",
-            f"{change:.6g}",
-            "" if math.isnan(row["std"]) else f"{row['std']:.6g}",
-        )
-        writer.writerow((row["name"], row["unit"], *numbers, row["known_from"]))
-    return text.getvalue()
 
 
 FILTER_POINTS = 60  # rows at which a filter's objective is drawn

@@ -188,7 +188,19 @@ def _wrong_number(bound: BoundProblem, alone: bool) -> list[Finding]:
     result = lm(stated)
     if not result.converged:
         return []
-    for name, key, unit in _promising(stated, result.x, np.diagonal(result.covariance)):
+    # numbers whose prior costs far more than that of any other: without it twice the cost falls by x^2 / (s^2 - C), the
+    # square of a standard normal number where the prior is right; where all priors are too tight, or the noise is, all
+    # of these grow
+    gains = {}
+    for name, key, std, unit in priors_of(bound.problem):
+        j = stated.names.index(name)
+        learned = std**2 - result.covariance[j, j]
+        gains[name, key, unit] = float(result.x[j] ** 2 / learned) if learned > DULL * std**2 else 0.0
+    total, others = sum(gains.values()), max(len(gains) - 1, 1)
+    first = sorted(gains, key=lambda each: -gains[each])[:TRIED]
+    for name, key, unit in first:
+        if not gains[name, key, unit] > ALONE * max((total - gains[name, key, unit]) / others, 1.0):
+            continue
         freed = bind(bound.problem.with_prior({name: math.inf}), *bound.samples)
         found = lm(freed)
         j, noise = freed.names.index(name), max(noise_interval(found)[0], 1.0)
@@ -297,22 +309,6 @@ def _likelihood(bound: BoundProblem) -> float:
     found = lm(fit)
     fit = fit.with_noise(times(fit.scale, noise_interval(found)[0]))
     return evidence(normal_equations(fit, found.x), fit.prior_information) - float(np.log(fit.noise).sum())
-
-
-def _promising(bound: BoundProblem, x: Array, variances: Array) -> list[tuple[str, str, str]]:
-    """Names, keys and units of the numbers whose prior costs far more than that of any other.
-
-    Without it twice the cost falls by x^2 / (s^2 - C), the square of a standard normal number where the prior is right;
-    where all priors are too tight, or the noise is, all of these grow.
-    """
-    gains = {}
-    for name, key, std, unit in priors_of(bound.problem):
-        j = bound.names.index(name)
-        learned = std**2 - variances[j]
-        gains[name, key, unit] = float(x[j] ** 2 / learned) if learned > DULL * std**2 else 0.0
-    order, total = sorted(gains, key=lambda each: -gains[each]), sum(gains.values())
-    others = max(len(gains) - 1, 1)
-    return [each for each in order[:TRIED] if gains[each] > ALONE * max((total - gains[each]) / others, 1.0)]
 
 
 def _freed(problem: Problem, samples: Samples, *, name: str) -> Undone:

@@ -1,4 +1,4 @@
-"""Rows that do not belong: single ones, set aside where they are few, and those of an instrument that others contradict.
+"""Rows that do not belong: single ones, set aside where few, and those of an instrument that others contradict.
 
 Single rows are found by studentised residuals, each with why; instruments by what they share, and by what each expects
 of another's rows.
@@ -252,7 +252,14 @@ def gross(bound: BoundProblem, *, drawn: BoundProblem | None = None) -> tuple[Ro
         if not found.any():
             break
         bad[np.flatnonzero(~bad)[found]] = True
-        _refuse_contradiction(bound, bad)
+        # too many for single rows anyway: none is set aside, and the check finds the cause
+        several = len(bound.samples) > 1 and bad.sum() <= MOST * len(bad)
+        for name, some, rows in zip(bound.problem.names, bound.samples, bound.measured.starts, strict=False):
+            off = int(bad[rows : rows + len(some)].sum())
+            if several and 2 * off >= len(some):
+                what = f"the instruments contradict each other: {off} of {counted(len(some), 'row')} of {name}"
+                fix = f"Check unit, sign, frame and tool of {name}, and what is shared with it; or leave its rows out"
+                raise SamplesError(some.file, f"{what} lie far off where the others put the arm", fix)
     if (bad & ~stray).any():
         bad = _taken_back(bound, bad, stray)
     rest = _without(bound, bad)
@@ -268,19 +275,6 @@ def gross(bound: BoundProblem, *, drawn: BoundProblem | None = None) -> tuple[Ro
         worst = float(_sizes(judged, result)[rows].max())
         findings += single_rows(judged, result, Outliers(tuple(rows.tolist()), worst, _most(judged), 1.0))
     return bad, tuple(findings)
-
-
-def _refuse_contradiction(bound: BoundProblem, bad: Rows) -> None:
-    """Raise SamplesError where half the rows of one of several instruments do not belong: these are not single rows."""
-    if bad.sum() > MOST * len(bad):  # too many for single rows anyway: none is set aside, and the check finds the cause
-        return
-    starts = np.cumsum([0, *map(len, bound.samples)])
-    for k, (name, some) in enumerate(zip(bound.problem.names, bound.samples, strict=True)):
-        off = int(bad[starts[k] : starts[k + 1]].sum())
-        if len(bound.samples) > 1 and 2 * off >= len(some):
-            what = f"the instruments contradict each other: {off} of {counted(len(some), 'row')} of {name} lie far off"
-            fix = f"Check unit, sign, frame and tool of {name}, and what is shared with it; or leave its rows out"
-            raise SamplesError(some.file, f"{what} where the others put the arm", fix)
 
 
 def _without(bound: BoundProblem, bad: Rows) -> BoundProblem | None:

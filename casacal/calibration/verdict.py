@@ -437,22 +437,17 @@ def _against(calibration: Calibration) -> list[tuple[str, str]]:
         clause = "these samples do not bound the tip error"
         found.append((clause, "Neither the samples nor a prior determine every direction that moves the tip."))
     elif calibration.result.converged and not found and calibration.tip_std[1] > USELESS:
-        found.append(_unknown_tip(calibration))
+        fit, covariance = calibration.fit, calibration.covariance
+        places = [(name, j) for name, unit, _, j in fit.parameters() if j is not None and unit == "mm"]
+        stds = {name: math.sqrt(covariance[j, j]) for name, j in places}
+        loose = sorted((name for name in stds if stds[name] > USELESS / 2), key=lambda name: -stds[name])
+        which = f"The samples hardly show {listed(loose)}" if loose else "The samples show too little of the arm"
+        turned = math.degrees(most_turned(fit))
+        little = f" These postures turn the tool by at most {figures(turned, 2)} degrees."
+        why = f"{which}.{little if turned < LITTLE_TURNED else ''}"
+        clause = f"the tip would err by {mm(calibration.tip_std[1])}, more than an arm as drawn"
+        found.append((clause, f"{why} Add postures that turn the tool far about two axes, or state priors."))
     return found
-
-
-def _unknown_tip(calibration: Calibration) -> tuple[str, str]:
-    """Reason of a tip that is known no better than any arm as drawn: what is loose, and how far postures turn it."""
-    fit, covariance = calibration.fit, calibration.covariance
-    stds = {
-        name: math.sqrt(covariance[j, j]) for name, unit, _, j in fit.parameters() if j is not None and unit == "mm"
-    }
-    loose = sorted((name for name in stds if stds[name] > USELESS / 2), key=lambda name: -stds[name])
-    clause = f"the tip would err by {mm(calibration.tip_std[1])}, more than an arm as drawn"
-    turned = math.degrees(most_turned(fit))
-    why = f" These postures turn the tool by at most {figures(turned, 2)} degrees." if turned < LITTLE_TURNED else ""
-    which = f"The samples hardly show {listed(loose)}" if loose else "The samples show too little of the arm"
-    return clause, f"{which}.{why} Add postures that turn the tool far about two axes, or state priors."
 
 
 def most_turned(fit: BoundProblem) -> float:

@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.model.problem_file import load_problem
 
     if options.out is not None:
-        if not options.out.strip() or (Path(options.out).exists() and not Path(options.out).is_dir()):
+        if Path(options.out).exists() and not Path(options.out).is_dir():
             raise CasacalError(f"--out '{options.out}' is no folder", "Name a folder, or one that does not exist yet")
         check_writable(Path(options.out))
     if options.holdout_by is not None and not options.holdout_by.strip():
