@@ -6,7 +6,8 @@ import math
 import re
 import shlex
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -394,21 +395,15 @@ PLANNED = (
 
 def summary(calibration: WithVerdict, name: str) -> str:
     """Plain text of many lines; figures of accuracy are left out when the verdict denies them."""
-    verdict, denied, words = calibration.verdict, calibration.denied, calibration.fit.problem.words
+    verdict, words = calibration.verdict, calibration.fit.problem.words
     reasons = (f"- {reason}" for reason in [*verdict.reasons, *image_words(calibration, verdict)])
     parts = [
         _opening(calibration, name),
         "\n".join([*verdict_lines(calibration, verdict), *reasons]),
         residual_table(calibration).text(),
         f"Each {words.group} by the others:\n{left_out_table(calibration).text()}" if calibration.left_out else "",
-        "" if denied else _accuracy(calibration),
-        "" if denied else _most(calibration),
-        _parameters(calibration),
-        _blind_spots(calibration, denied),
-        "" if denied else _next_steps(calibration),
-        "" if denied or not calibration.leverages else constant_table(calibration).text(),
-        _effects(calibration),
-        _reference(calibration),
+        *_of_the_arm(calibration),
+        *_beside_the_arm(calibration),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
@@ -445,12 +440,13 @@ def _opening(calibration: Calibration, name: str) -> str:
     return f"{said}\n{'; '.join(parts)}."
 
 
-def _accuracy(calibration: Calibration) -> str:
-    (before, after), (drawn, flange) = calibration.tip_std, calibration.flange_std
-    alone, _ = calibration.tip_std_without_prior
-    samples_alone = f"the tip error is {mm(alone, 3)} RMS" if alone < METRE else "the tip error has no bound"
-    return "\n".join(
-        [
+def _of_the_arm(calibration: WithVerdict) -> Iterator[str]:
+    """Accuracy, what moves the tip most, parameters, and directions that the samples do not show."""
+    if not calibration.denied:
+        (before, after), (drawn, flange) = calibration.tip_std, calibration.flange_std
+        alone, _ = calibration.tip_std_without_prior
+        samples_alone = f"the tip error is {mm(alone, 3)} RMS" if alone < METRE else "the tip error has no bound"
+        lines = [
             "The residuals above are not accuracy: they can be small while the arm is wrong elsewhere.",
             f"Expected tip error over the workspace, apart from the position of the base: {mm(after, 3)} RMS (before: "
             f"{mm(before, 3)}).",
@@ -459,24 +455,15 @@ def _accuracy(calibration: Calibration) -> str:
             *corrected_words(calibration),
             f"From the samples alone, without priors, {samples_alone}.",
         ]
-    )
-
-
-def _most(calibration: Calibration) -> str:
-    """The rows and the priors that move the tip most; nothing where the estimate is no minimum."""
-    try:
-        rows, priors = calibration.sensitivity.most()
-    except CasacalError:
-        return ""
-    shown = {
-        "rows": [f"line {line} ({mm(tip)})" for line, tip in rows],
-        "priors": [f"{name} ({mm(tip)})" for name, tip in priors],
-    }
-    lines = [f"  {what}: {', '.join(names)}" for what, names in shown.items() if names]
-    return "\n".join(["What moves the tip most, by one standard deviation each:", *lines]) if lines else ""
-
-
-def _parameters(calibration: Calibration) -> str:
+        yield "\n".join(lines)
+        with suppress(CasacalError):  # where the estimate is no minimum, nobody knows how it follows the readings
+            rows, priors = calibration.sensitivity.most()
+            shown = {
+                "rows": [f"line {line} ({mm(tip)})" for line, tip in rows],
+                "priors": [f"{name} ({mm(tip)})" for name, tip in priors],
+            }
+            lines = [f"  {what}: {', '.join(names)}" for what, names in shown.items() if names]
+            yield "\n".join(["What moves the tip most, by one standard deviation each:", *lines]) if lines else ""
     table, held = parameters_table(calibration)
     lines = [table.text()] if table.rows else []
     lines += [f"held at nominal: {', '.join(held)}"] if held else []
@@ -484,10 +471,12 @@ def _parameters(calibration: Calibration) -> str:
         lines.append(
             "These values belong with the corrected effects. For a controller without them use casacal export."
         )
-    return "\n".join(lines)
+    yield "\n".join(lines)
+    yield _blind_spots(calibration)
 
 
-def _blind_spots(calibration: Calibration, denied: bool) -> str:
+def _blind_spots(calibration: WithVerdict) -> str:
+    denied = calibration.denied
     found, (costly, harmless) = calibration.identifiability, direction_table(calibration)
     lines = [
         f"What these samples show: {found.rank} of {found.unknowns} directions of the unknowns, {len(found.weak)} of "
@@ -508,37 +497,28 @@ def _blind_spots(calibration: Calibration, denied: bool) -> str:
     return "\n".join(lines)
 
 
-def _next_steps(calibration: Calibration) -> str:
-    table = cure_table(calibration)
-    if not table.rows:
-        return ""
-    planned = [PLANNED] if any("planned" in cure.words for cure in calibration.cures) else []
-    return "\n".join([table.text(), *planned, *filter(None, [nothing_helps(calibration)])])
-
-
-def _effects(calibration: Calibration) -> str:
-    """Non-geometric effects that the rows show, and what became of each correction that was tried."""
+def _beside_the_arm(calibration: WithVerdict) -> Iterator[str]:
+    """Next steps, trusted constants, errors beside the geometry and what became of each correction, the reference."""
+    if not calibration.denied and (steps := cure_table(calibration)).rows:
+        planned = [PLANNED] if any("planned" in cure.words for cure in calibration.cures) else []
+        yield "\n".join([steps.text(), *planned, *filter(None, [nothing_helps(calibration)])])
+    if not calibration.denied and calibration.leverages:
+        yield constant_table(calibration).text()
     table = effect_table(calibration)
-    if not table.rows:
-        return ""
-    shown = [row for row in table.rows if row[1] == "yes"]
-    lines = ["Errors beside the geometry:"]
-    lines += [replace(table, rows=shown).text()] if shown else []
-    left = len(table.rows) - len(shown)
-    lines.append(f"{left}{' more' if shown else ''} looked for and not found; result.json lists them all.")
-    outcomes = [each.became for each in calibration.tried if each.unseen]
-    none = ["None of them is corrected."] if calibration.tried else []
-    return "\n".join([*lines, *(outcomes or none)])
-
-
-def _reference(calibration: Calibration) -> str:
-    reference = calibration.reference
-    if reference is None:
-        return "Reference: not run."
-    verdict = "agrees" if reference.agrees else "DIFFERS"
-    words = (
-        f"Reference: {reference.solver} {verdict}; cost {calibration.result.cost:.8g}, its cost {reference.cost:.8g} "
-        f"(difference {reference.gap:.1e}, limit {reference.limit:.0e}), KKT residual {reference.result.kkt:.1e}, "
-        f"{reference.result.steps} iterations."
+    if table.rows:
+        shown = [row for row in table.rows if row[1] == "yes"]
+        lines = ["Errors beside the geometry:"]
+        lines += [replace(table, rows=shown).text()] if shown else []
+        left = len(table.rows) - len(shown)
+        lines.append(f"{left}{' more' if shown else ''} looked for and not found; result.json lists them all.")
+        outcomes = [each.became for each in calibration.tried if each.unseen]
+        yield "\n".join([*lines, *(outcomes or (["None of them is corrected."] if calibration.tried else []))])
+    if (reference := calibration.reference) is None:
+        yield "Reference: not run."
+        return
+    yield (
+        f"Reference: {reference.solver} {'agrees' if reference.agrees else 'DIFFERS'}; cost "
+        f"{calibration.result.cost:.8g}, its cost {reference.cost:.8g} (difference {reference.gap:.1e}, limit "
+        f"{reference.limit:.0e}), KKT residual {reference.result.kkt:.1e}, {reference.result.steps} iterations."
+        f"{'' if reference.result.converged else f'{chr(10)}{reference.solver}: {reference.result.message}'}"
     )
-    return words if reference.result.converged else f"{words}\n{reference.solver}: {reference.result.message}"
