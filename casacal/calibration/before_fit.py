@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
 from typing import get_args
@@ -74,10 +75,9 @@ def lost_targets(problem: Problem, samples: Samples) -> tuple[list[Finding], Sam
     return [Finding("error", about, cause, fix, _lines(samples, lost))], samples.take(np.flatnonzero(~lost))
 
 
-def outside(problem: Problem, samples: Samples) -> list[Finding]:
+def outside(problem: Problem, samples: Samples) -> Iterator[Finding]:
     """Readings outside the dial's travel, joints outside their limits, angles that no joint turns to."""
-    findings, instrument = list[Finding](), problem.instrument
-    probe = instrument.probe
+    instrument, probe = problem.instrument, problem.instrument.probe
     if probe is not None and probe.column is not None:
         reading, (low, high) = samples.columns[probe.column], readings_within(probe.travel)
         beyond = np.maximum(low - reading, reading - high)
@@ -91,7 +91,7 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
             fix = "Dials show a little more than their travel; see that the plunger was not at its end there"
             fix = fix if little else _declared(least, most, low, high)
             severity: Severity = "warning" if little else "error"
-            findings.append(Finding(severity, OUTSIDE, cause, fix, _lines(samples, bad)))
+            yield Finding(severity, OUTSIDE, cause, fix, _lines(samples, bad))
     for name, kind in instrument.columns.items():
         factor, ends = WRITTEN[kind][1], instrument.reading_limits.get(name, (-math.inf, math.inf))
         value, (low, high) = samples.columns[name] * factor, (end * factor for end in ends)
@@ -102,15 +102,14 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
             fix = "Check these rows, the column's unit, or the limits"
             fix = f"Reverse the sign of column '{name}'" if mirrored else fix
             cause = f"{many} of '{name}' outside its reading_limits, {span}"
-            findings.append(Finding("error", OUT_OF_LIMITS, cause, fix, _lines(samples, bad)))
+            yield Finding("error", OUT_OF_LIMITS, cause, fix, _lines(samples, bad))
     for i, (lower, upper) in enumerate(zip(*problem.robot.limits, strict=True)):
         bad = (samples.joints[:, i] < lower - 0.02) | (samples.joints[:, i] > upper + 0.02)
         bad &= not (problem.robot.revolute[i] and upper - lower == 2 * math.pi)  # it turns on and on, however counted
         if bad.any():
             cause = f"{counted(int(bad.sum()), 'value')} outside the limits that the problem declares"
             fix = "Check the order, signs and units of the joint columns, or the limits"
-            findings.append(Finding("warning", f"joint {i + 1} outside its limits", cause, fix, _lines(samples, bad)))
-    return findings
+            yield Finding("warning", f"joint {i + 1} outside its limits", cause, fix, _lines(samples, bad))
 
 
 def _declared(least: float, most: float, low: float, high: float) -> str:
@@ -127,10 +126,9 @@ def _declared(least: float, most: float, low: float, high: float) -> str:
     return f"{middle}; {rest}"
 
 
-def rounded(bound: BoundProblem) -> list[Finding]:
+def rounded(bound: BoundProblem) -> Iterator[Finding]:
     """Joint values or readings written so coarsely that rounding outweighs the stated noise."""
-    samples, findings = bound.block.samples, []
-    noise = float(np.median(bound.block.noise))
+    samples, noise = bound.block.samples, float(np.median(bound.block.noise))
     for kind, grids in (("revolute", np.radians(GRIDS)), ("prismatic", np.array(GRIDS))):
         joints = [i for i, joint in enumerate(bound.problem.robot.axes) if joint.kind == kind]
         steps = {i: _grid(samples.joints[:, i], grids) for i in joints}
@@ -144,7 +142,7 @@ def rounded(bound: BoundProblem) -> list[Finding]:
                 f"tip by up to {figures(effect, 2)} mm; the stated noise is {figures(noise, 2)} mm"
             )
             fix = "Log the joints with more digits, or declare the joint repeatability"
-            findings.append(Finding("error" if effect > 2 * noise else "warning", "joints rounded", cause, fix))
+            yield Finding("error" if effect > 2 * noise else "warning", "joints rounded", cause, fix)
     instrument, here = bound.problem.instrument, bound.residual(bound.x0)
     whole = any(block.unit == "rad" for block in instrument.blocks)  # poses; other angles and numbers may be settings
     for dimension in get_args(Dimension) if whole else ("length",):
@@ -162,8 +160,7 @@ def rounded(bound: BoundProblem) -> list[Finding]:
                 "times the stated noise"
             )
             fix = "Read them more finely and write more digits, or declare a larger noise"
-            findings.append(Finding("warning", "readings rounded", cause, fix))
-    return findings
+            yield Finding("warning", "readings rounded", cause, fix)
 
 
 def _blur(bound: BoundProblem, steps: dict[int, float]) -> float:
@@ -202,39 +199,32 @@ SHORTEST = 4  # letters from which one letter more or less is a slip and not ano
 MOST_LABELS = 200  # labels that are compared with one another; where there are more they are numbers, not names
 
 
-def absent_labels(problem: Problem, samples: Samples) -> list[Finding]:
-    """Warnings on columns by which a problem declares its unknowns to differ, and which the samples do not have.
+def lost_labels(problem: Problem, samples: Samples) -> Iterator[Finding]:
+    """Columns by which a problem declares its unknowns to differ and which the samples lack, and steps without a face.
 
-    Columns by which an instrument's unknowns differ anyhow, such as `plane`, may be left out where there is one.
+    Columns by which an instrument's unknowns differ anyhow, such as `plane`, may be left out where there is one. A step
+    in rows that stands on a face without rows is an error, a step that no row is on is worth a warning.
     """
-    found = []
     for key, unknown in problem.instrument.unknowns.items():
-        usual = getattr(getattr(type(problem.instrument), key, None), "per", None)
-        column = unknown.per
+        usual, column = getattr(getattr(type(problem.instrument), key, None), "per", None), unknown.per
         if column is not None and column != usual and samples.labels[column].names == (column,):
             cause = (
                 f"there is no column '{column}', which '{key}' is declared to depend on; all rows count as one group"
             )
-            found.append(Finding("warning", "labels absent", cause, f"Add the column, or declare '{key}' without it"))
-    return found
-
-
-def lost_steps(problem: Problem, samples: Samples) -> list[Finding]:
-    """Errors on steps in rows that stand on a face without rows, warnings of steps that no row is on."""
+            yield Finding("warning", "labels absent", cause, f"Add the column, or declare '{key}' without it")
     probe = problem.instrument.probe
     names = () if probe is None or probe.label is None else samples.faces(probe.label).names
     if probe is None or names in ((), (probe.label,)):
-        return []
-    found, there = [], f"The labels there are: {shortened(names)}"
+        return
+    there = f"The labels there are: {shortened(names)}"
     for step in probe.steps:
         on = problem.instrument.instance("plane", step)
         if step in names and on not in names:
             cause = f"'{step}' is declared to stand on '{on}', and no row is on '{on}', so its height tells nothing"
-            found.append(Finding("error", LOST_STEP, cause, f"Correct the step in the problem, or the labels. {there}"))
+            yield Finding("error", LOST_STEP, cause, f"Correct the step in the problem, or the labels. {there}")
         elif step not in names:
             cause = f"'{step}' is declared as a step on '{on}', and no row is on '{step}', so its height tells nothing"
-            found.append(Finding("warning", LOST_STEP, cause, f"Touch it, or correct the label. {there}"))
-    return found
+            yield Finding("warning", LOST_STEP, cause, f"Touch it, or correct the label. {there}")
 
 
 def odd_labels(problem: Problem, samples: Samples) -> list[Finding]:
@@ -331,12 +321,12 @@ CLEARLY = 4.0  # times as far or as near as it might be by chance
 NO_LENGTH = "no length was measured"
 
 
-def setup_findings(bound: BoundProblem) -> list[Finding]:
+def setup_findings(bound: BoundProblem) -> Iterator[Finding]:
     """Set-ups that leave the arm blind or weak, however good the readings."""
     probe, samples = bound.problem.instrument.probe, bound.block.samples
-    findings = enough_rows(bound)
+    yield from enough_rows(bound)
     if probe is None:
-        return findings
+        return
     sight, faces = nominal_sight(bound.problem, 0, samples), samples.faces(probe.label)
     assert sight.plungers is not None
     reach = float(np.median(np.linalg.norm(sight.tips, axis=1)))
@@ -356,27 +346,24 @@ def setup_findings(bound: BoundProblem) -> list[Finding]:
             f"parameters that move the tip stay unseen"
         )
         fix = "Tilt the tool by 10 degrees or more, in several directions"
-        findings.append(Finding("warning", "tilt too small", cause, fix))
+        yield Finding("warning", "tilt too small", cause, fix)
     if small:
         cause = f"the touches cover a small region for an arm that reaches {reach:.0f} mm: {', '.join(small)}"
         fix = "Use larger faces, or spread the touches over them"
-        findings.append(Finding("warning", "faces too small", cause, fix))
-    same, angles = (
-        "there is only one face",
-        np.degrees(np.arccos(np.clip(np.abs(normals @ np.transpose(normals)), 0, 1))),
-    )
+        yield Finding("warning", "faces too small", cause, fix)
+    angles = np.degrees(np.arccos(np.clip(np.abs(normals @ np.transpose(normals)), 0, 1)))
+    same = "there is only one face"
     if len(normals) > 1:
         same = f"all {len(normals)} faces look the same way, within {max(angles.max(), 1):.0f} degrees"
     if float(angles.max()) < SMALLEST_ANGLE and not probe.knows_angles:
         fix = "Add a face at an angle; three at right angles are best"
-        findings.append(Finding("warning", "faces nearly parallel", same, fix))
+        yield Finding("warning", "faces nearly parallel", same, fix)
     # on faces of certified angles a sliding joint is a ruler
     if not probe.steps and not (probe.knows_angles and not bound.problem.robot.revolute.all()):
         cause = "faces determine angles; the size of the arm comes from the prior"
         cause += " and a few millimetres of dial travel" if probe.column is not None else ""
         fix = "Measure one known length, such as a gauge block's step, declared as a Step in the problem"
-        findings.append(Finding("remark", NO_LENGTH, cause, fix))
-    return findings
+        yield Finding("remark", NO_LENGTH, cause, fix)
 
 
 def enough_rows(bound: BoundProblem) -> list[Finding]:
@@ -389,7 +376,7 @@ def enough_rows(bound: BoundProblem) -> list[Finding]:
     return [Finding("error" if ratio < 1 else "warning", "few rows", f"{bound.rows} rows for {unknowns} unknowns", fix)]
 
 
-def upside_down(bound: BoundProblem, scatter: float) -> list[Finding]:
+def upside_down(bound: BoundProblem, scatter: float) -> Iterator[Finding]:
     """An error where a step lies as far below the face it stands on as it should stand out, seen from the tool.
 
     A fit cannot tell: with the plane's normal the other way round, all rows fit. scatter: distance (mm) that prior
@@ -397,10 +384,9 @@ def upside_down(bound: BoundProblem, scatter: float) -> list[Finding]:
     """
     probe, samples, instrument = bound.problem.instrument.probe, bound.block.samples, bound.problem.instrument
     if probe is None or not probe.steps:
-        return []
+        return
     rows, sight = samples.faces(probe.label).rows(), nominal_sight(bound.problem, 0, samples)
     assert sight.plungers is not None
-    found = []
     for step, height in instrument.known_columns["height"].items():
         on = instrument.instance("plane", step)
         if step not in rows or on not in rows or abs(height) < CLEARLY * scatter:
@@ -411,8 +397,7 @@ def upside_down(bound: BoundProblem, scatter: float) -> list[Finding]:
         if plane.flat and abs(stands + height) < CLEARLY * scatter:
             cause = f"'{step}' should stand {height:g} mm out of '{on}' and stands {stands:.0f} mm out of it"
             fix = "Exchange the two labels in all rows, or correct the sign of the step's height"
-            found.append(Finding("error", "labels exchanged", cause, fix))
-    return found
+            yield Finding("error", "labels exchanged", cause, fix)
 
 
 IN_METRES = 0.1, 20.0

@@ -11,10 +11,9 @@ from casacal.calibration.before_fit import (
     NO_LENGTH,
     OUTSIDE,
     WRONG_SIGN,
-    absent_labels,
     enough_rows,
     in_metres,
-    lost_steps,
+    lost_labels,
     lost_targets,
     odd_labels,
     outside,
@@ -166,7 +165,7 @@ def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding
     if lost and not len(samples):
         return lost
     findings = [*lost, *repeated(samples), *outside(problem, samples)]
-    findings += [*absent_labels(problem, samples), *odd_labels(problem, samples), *lost_steps(problem, samples)]
+    findings += [*lost_labels(problem, samples), *odd_labels(problem, samples)]
     samples = without_copies(samples)  # as calibrate takes them
     try:
         bound = bind(problem, samples)
