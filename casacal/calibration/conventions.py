@@ -197,22 +197,6 @@ def mirror_image(fit: BoundProblem) -> MirrorImage | None:
     None where there is none: an instrument that sees poses, say, or joint limits, tell them apart.
     """
     fit, robot, own = fit.thinned(IMAGE_ROWS), fit.problem.robot, None
-    for signs, offsets, off in _images(fit):
-        turned = [replace(some, joints=some.joints * signs + offsets) for some in fit.measured.sets]
-        if not all(inside_limits(robot, some.joints).all() for some in turned):
-            continue
-        if own is None:
-            own = lm(fit)
-        image = lm(fit.on(*turned), max_steps=own.steps + MORE_STEPS)
-        if image.converged and image.cost - own.cost <= EQUAL:
-            numbers = np.arange(1, len(signs) + 1)
-            return MirrorImage(tuple(numbers[signs < 0].tolist()), tuple(numbers[offsets > 0].tolist()), off)
-    return None
-
-
-def _images(fit: BoundProblem) -> list[tuple[Array, Array, float]]:
-    """Signs (n,), offsets (n,; rad) and distance (mm) of conventions that reflect the drawn tips, simplest first."""
-    robot = fit.problem.robot
     signs, offsets = mirrors(robot)
     joints = workspace_joints(robot, poses=POSTURES)
     drawn = fit.tips(fit.x0, joints)
@@ -224,8 +208,17 @@ def _images(fit: BoundProblem) -> list[tuple[Array, Array, float]]:
     spread = math.sqrt(float(((drawn - drawn.mean(axis=0)) ** 2).sum(axis=1).mean()))
     found = np.flatnonzero((off <= AKIN * spread) & (moved_off >= max(APART, 2 * AKIN * spread)))
     changes = (signs[found] < 0).sum(axis=1) + (offsets[found] > 0).sum(axis=1)
-    order = found[np.argsort(changes, kind="stable")][:MOST_FITS]
-    return [(signs[k], offsets[k], float(moved_off[k])) for k in order]
+    numbers = np.arange(1, len(robot.axes) + 1)
+    for k in found[np.argsort(changes, kind="stable")][:MOST_FITS]:
+        turned = [replace(some, joints=some.joints * signs[k] + offsets[k]) for some in fit.measured.sets]
+        if not all(inside_limits(robot, some.joints).all() for some in turned):
+            continue
+        own = own or lm(fit)
+        image = lm(fit.on(*turned), max_steps=own.steps + MORE_STEPS)
+        if image.converged and image.cost - own.cost <= EQUAL:
+            reversed_, halves = (tuple(numbers[each].tolist()) for each in (signs[k] < 0, offsets[k] > 0))
+            return MirrorImage(reversed_, halves, float(moved_off[k]))
+    return None
 
 
 def mirrors(robot: Robot) -> tuple[Array, Array]:
