@@ -30,6 +30,24 @@ SHOWN_UNITS = {"angle": " degrees", "length": " mm", "number": ""}
 GRIDS = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)  # degrees, or mm
 FAR = 10.0  # times its travel by which no dial is outside it
 ENOUGH_ROWS = 12  # rows from which a common grid of values cannot be chance
+LABELS_ALIKE = "labels alike"
+LOST_STEP = "step without a face"
+MARGIN = 2  # rows that a label needs beside one for each unknown of its own
+RARE = 0.03
+FEW = 3  # a label of no more rows, in no more than this part of all, is rare
+SHORTEST = 4  # letters from which one letter more or less is a slip and not another name
+MOST_LABELS = 200  # labels that are compared with one another; where there are more they are numbers, not names
+SMALLEST_TILT = 5.0
+"""Degrees between plunger and normal below which touches count as normal; 10 or more remove the blindness."""
+SMALLEST_FACE = 0.05  # fraction of the arm's reach that touches of a face should span
+SMALLEST_ANGLE = 20.0  # degrees between faces below which they count as parallel
+ROWS_PER_UNKNOWN = 1.5  # fewer leave little to tell the noise and single bad rows by; as a plan takes at least
+CLEARLY = 4.0  # times as far or as near as it might be by chance
+NO_LENGTH = "no length was measured"
+IN_METRES = 0.1, 20.0
+"""Extent (mm) of the flange's way over random postures that only an arm has whose lengths are metres."""
+POSTURES = 40
+WRONG_SIGN = "wrong dial sign"
 
 
 def repeated(samples: Samples) -> list[Finding]:
@@ -190,15 +208,6 @@ def _lines(samples: Samples, bad: Rows) -> tuple[int, ...]:
     return tuple(samples.lines[i] for i in np.flatnonzero(bad).tolist())
 
 
-LABELS_ALIKE = "labels alike"
-LOST_STEP = "step without a face"
-MARGIN = 2  # rows that a label needs beside one for each unknown of its own
-RARE = 0.03
-FEW = 3  # a label of no more rows, in no more than this part of all, is rare
-SHORTEST = 4  # letters from which one letter more or less is a slip and not another name
-MOST_LABELS = 200  # labels that are compared with one another; where there are more they are numbers, not names
-
-
 def lost_labels(problem: Problem, samples: Samples) -> Iterator[Finding]:
     """Columns by which a problem declares its unknowns to differ and which the samples lack, and steps without a face.
 
@@ -312,15 +321,6 @@ def _slip(one: str, two: str, *, both_common: bool) -> bool:
     return short[start:] == long[start + 1 :] and long[start].isalpha()
 
 
-SMALLEST_TILT = 5.0
-"""Degrees between plunger and normal below which touches count as normal; 10 or more remove the blindness."""
-SMALLEST_FACE = 0.05  # fraction of the arm's reach that touches of a face should span
-SMALLEST_ANGLE = 20.0  # degrees between faces below which they count as parallel
-ROWS_PER_UNKNOWN = 1.5  # fewer leave little to tell the noise and single bad rows by; as a plan takes at least
-CLEARLY = 4.0  # times as far or as near as it might be by chance
-NO_LENGTH = "no length was measured"
-
-
 def setup_findings(bound: BoundProblem) -> Iterator[Finding]:
     """Set-ups that leave the arm blind or weak, however good the readings."""
     probe, samples = bound.problem.instrument.probe, bound.block.samples
@@ -400,11 +400,6 @@ def upside_down(bound: BoundProblem, scatter: float) -> Iterator[Finding]:
             yield Finding("error", "labels exchanged", cause, fix)
 
 
-IN_METRES = 0.1, 20.0
-"""Extent (mm) of the flange's way over random postures that only an arm has whose lengths are metres."""
-POSTURES = 40
-
-
 def in_metres(problem: Problem, samples: Samples) -> list[Finding]:
     """An error on an arm whose flange moves by millimetres: its numbers, or what its pose gives, are metres."""
     joints = random_joints(problem.robot, POSTURES, np.random.default_rng(0))
@@ -414,9 +409,6 @@ def in_metres(problem: Problem, samples: Samples) -> list[Finding]:
         return []
     cause = f"in any postures the flange stays within {figures(extent, 2)} mm, so the arm's lengths seem to be metres"
     return [Finding("error", "arm in metres", cause, "Write them, and what the pose function returns, in mm")]
-
-
-WRONG_SIGN = "wrong dial sign"
 
 
 def sign_before_fit(bound: BoundProblem) -> list[Finding]:

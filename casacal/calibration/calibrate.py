@@ -46,6 +46,8 @@ if TYPE_CHECKING:
     from casacal.calibration.earlier import RowsSince
 
 _LOG = logging.getLogger("casacal")
+TRIED = 100  # steps within which a fit of an arm ends, twenty times what it needs, unless nothing holds its unknowns
+UNSEEN = 1e-9  # singular value over the largest below which a direction is hidden by rounding
 
 
 def calibrate(
@@ -238,10 +240,6 @@ def _check_words(noise: str, outliers: str, discrepancy: str) -> None:
     ):
         if word not in (one, other):
             raise CasacalError(f"Got {came(word)} {what}", f"Give '{one}' or '{other}'")
-
-
-TRIED = 100  # steps within which a fit of an arm ends, twenty times what it needs, unless nothing holds its unknowns
-UNSEEN = 1e-9  # singular value over the largest below which a direction is hidden by rounding
 
 
 def _bound(

@@ -67,6 +67,19 @@ FIXES = {
 }
 
 OTHERWISE = "Look for its cause, or declare it as an effect of the problem"
+APART = 1.5
+"""Times the misfit of the instrument that fits worst alone, beyond which all together contradict one another."""
+MOST_ROWS = 600  # rows used to look for systematic faults; more add time, not insight
+OF_A_FACE = 12  # rows of a face, where faces are many, that tell of systematic faults
+SPREAD = 20_000  # rows that tell of the set-up and of what the prior explains; more add memory, not insight
+STUCK = 1e-9  # rad or mm within which a joint does not move
+MOST_STRAY = 0.1  # part of the rows beyond which those far off their face are no single rows if the others do not fit
+OF_TWO = 3.0
+"""Times what prior errors explain by which the drawn arm must miss before two mistakes at once are looked for."""
+ORDER = {"error": 0, "warning": 1, "remark": 2}
+UNBOUND = "cannot be bound"
+OF_ALL = ("few rows", NO_LENGTH)
+"""Findings that concern all instruments together: what one cannot observe, another may."""
 
 
 def effect_findings(problem: Problem, samples: Samples) -> list[Finding]:
@@ -95,10 +108,6 @@ def effect_findings(problem: Problem, samples: Samples) -> list[Finding]:
     return list(found.values())
 
 
-APART = 1.5
-"""Times the misfit of the instrument that fits worst alone, beyond which all together contradict one another."""
-
-
 def contradictions(bound: BoundProblem, measured: Measurements) -> list[Finding]:
     """An error where each instrument fits by itself and all together do not, or not with what they share."""
     problem = bound.problem
@@ -118,19 +127,6 @@ def contradictions(bound: BoundProblem, measured: Measurements) -> list[Finding]
         "same; too small a stated noise of one instrument can also be the cause"
     )
     return [Finding("error", "instruments contradict each other", cause, fix)]
-
-
-MOST_ROWS = 600  # rows used to look for systematic faults; more add time, not insight
-OF_A_FACE = 12  # rows of a face, where faces are many, that tell of systematic faults
-SPREAD = 20_000  # rows that tell of the set-up and of what the prior explains; more add memory, not insight
-
-STUCK = 1e-9  # rad or mm within which a joint does not move
-MOST_STRAY = 0.1  # part of the rows beyond which those far off their face are no single rows if the others do not fit
-
-OF_TWO = 3.0
-"""Times what prior errors explain by which the drawn arm must miss before two mistakes at once are looked for."""
-
-ORDER = {"error": 0, "warning": 1, "remark": 2}
 
 
 def check(problem: Problem, samples: Samples | Measurements, *, confirmed: bool = False) -> tuple[Finding, ...]:
@@ -328,12 +324,6 @@ def _rows(bound: BoundProblem) -> list[Finding]:
     cause = f"the residuals are {ratio:.2f} times the stated noise (95 % {low:.2f} to {high:.2f})"
     fix = "Correct noise_std in the problem" if ratio < 1 else "Raise noise_std, or find what the model leaves out"
     return [Finding("warning", "noise", cause, fix)]
-
-
-UNBOUND = "cannot be bound"
-
-OF_ALL = ("few rows", NO_LENGTH)
-"""Findings that concern all instruments together: what one cannot observe, another may."""
 
 
 def _image(bound: BoundProblem) -> list[Finding]:

@@ -43,6 +43,14 @@ BETTER, NEAR = 0.25, 3.0  # part of what the plain pattern leaves, and times the
 FITTED = 8  # patterns that are fitted, the simplest first
 BEYOND_LIMITS = 20  # changes that a pattern must spare to be believed though joints leave their limits
 CONVENTIONS = "joint conventions"
+POSTURES = 8  # where tips are compared; five points in space already tell an image from a turn
+MOST_PATTERNS = 1 << 15  # beyond which half turns are left out: two arms that face each other have 12 joints
+AKIN = 0.01  # misfit of the image over the spread of the tips, below which parameters may make up for the rest
+APART = 1.0  # mm by which a rigid motion must miss the image; an arm in a plane is its own
+EQUAL = 12.0  # difference of the costs below which rows and priors do not tell one from the other: odds of e^12
+IMAGE_ROWS = 1000  # of the samples that are fitted: an image fits as well, or is off by thousands
+MORE_STEPS = 20  # than the arm itself takes, after which a pattern is no image: an image is as near to its drawing
+MOST_FITS = 12  # patterns that are fitted, the simplest first
 
 
 def patterns(problem: Problem, samples: Samples) -> Iterator[Fault]:
@@ -181,16 +189,6 @@ def _in_words(joint: int, pattern: Index) -> str:
     return f"q{joint + 1} as {' - '.join([plus, *minus]) if plus else '-' + ' - '.join(minus)}"
 
 
-POSTURES = 8  # where tips are compared; five points in space already tell an image from a turn
-MOST_PATTERNS = 1 << 15  # beyond which half turns are left out: two arms that face each other have 12 joints
-AKIN = 0.01  # misfit of the image over the spread of the tips, below which parameters may make up for the rest
-APART = 1.0  # mm by which a rigid motion must miss the image; an arm in a plane is its own
-EQUAL = 12.0  # difference of the costs below which rows and priors do not tell one from the other: odds of e^12
-IMAGE_ROWS = 1000  # of the samples that are fitted: an image fits as well, or is off by thousands
-MORE_STEPS = 20  # than the arm itself takes, after which a pattern is no image: an image is as near to its drawing
-MOST_FITS = 12  # patterns that are fitted, the simplest first
-
-
 def mirror_image(fit: BoundProblem) -> MirrorImage | None:
     """The simplest other conventions whose cost is the same to within EQUAL, or lower, and whose arm is a mirror image.
 
@@ -213,11 +211,11 @@ def mirror_image(fit: BoundProblem) -> MirrorImage | None:
         turned = [replace(some, joints=some.joints * signs[k] + offsets[k]) for some in fit.measured.sets]
         if not all(inside_limits(robot, some.joints).all() for some in turned):
             continue
-        own = own or lm(fit)
+        own = lm(fit) if own is None else own
         image = lm(fit.on(*turned), max_steps=own.steps + MORE_STEPS)
         if image.converged and image.cost - own.cost <= EQUAL:
-            reversed_, halves = (tuple(numbers[each].tolist()) for each in (signs[k] < 0, offsets[k] > 0))
-            return MirrorImage(reversed_, halves, float(moved_off[k]))
+            other_way, halves = (tuple(numbers[each].tolist()) for each in (signs[k] < 0, offsets[k] > 0))
+            return MirrorImage(other_way, halves, float(moved_off[k]))
     return None
 
 

@@ -51,6 +51,19 @@ MOST_PAIRED = 1200  # rows beyond which it takes too long to look where they sli
 FEW_OFF, MOSTLY = 3, 0.5  # rows, and part of those from the first on, that lie off where readings slipped
 SURELY_OFF = 10.0  # times the median residual beyond which a row is off, however far
 FEWEST = 5  # rows that a face needs on either side of such a place to have a plane there
+HANGS = 6  # rows one after another in which a joint that moves elsewhere shows one value, before it is said to hang
+SMALL = 1e-5  # step of the finite difference, mm or mm per rad
+DOCTOR = "Run casacal doctor on rows of the pendant, and write the coupling into the problem's Conventions"
+MOST_FACES = 12  # faces beyond which their labels are not exchanged two by two
+MOST_SESSIONS = 6  # labels of a column beyond which units are not looked for one by one
+SUSPICIOUS = 2.0  # misfit, in stated standard deviations, above which something systematic is looked for
+BETTER = 0.25  # an undone fault must shrink the misfit to this part to be believed
+EXPLAINED = 50.0  # misfit that noise and effects leave at most; what leaves more explains nothing
+CHANCE = 1.3  # a misfit of this size is chance: whatever leaves no more explains it all
+ALIKE = 1.5  # within this factor a fault and its absence cannot be told apart
+PROMISING = 12  # faults, or pairs of them, that a first look finds best and that are fitted to the end
+PAIRED = 3  # single faults, beside the usual ones, that are tried together with others
+RIVALS = 3  # faults that would explain it equally well and are named
 
 
 def tool_elsewhere(problem: Problem, samples: Samples) -> Undone:
@@ -198,9 +211,6 @@ def _turned_back(samples: Samples, size: float, *, joint: int, place: int) -> Sa
     return replace(samples, joints=joints)
 
 
-HANGS = 6  # rows one after another in which a joint that moves elsewhere shows one value, before it is said to hang
-
-
 def _hanging(samples: Samples) -> Iterator[Fault]:
     """Joints that show one and the same value over many rows, as of an encoder or a recorder that hangs."""
     for i, values in enumerate(samples.joints.T):
@@ -259,16 +269,6 @@ def fitted_sizes(
             break
         sizes = sizes - np.linalg.lstsq(left, weighted(bound, result, here), rcond=None)[0]
     return tuple(map(float, sizes))
-
-
-SMALL = 1e-5  # step of the finite difference, mm or mm per rad
-
-DOCTOR = "Run casacal doctor on rows of the pendant, and write the coupling into the problem's Conventions"
-
-MOST_FACES = 12  # faces beyond which their labels are not exchanged two by two
-
-
-MOST_SESSIONS = 6  # labels of a column beyond which units are not looked for one by one
 
 
 def suspected(problem: Problem, samples: Samples) -> Iterator[Fault]:
@@ -527,16 +527,6 @@ def _turned(matrix: Array, shift: Array | float = 0.0) -> Undo:
 def _of_rows(change: Callable[[Samples], Samples]) -> Undo:
     """What undoes a fault of the rows alone."""
     return lambda problem, samples: Undone(problem, change(samples))
-
-
-SUSPICIOUS = 2.0  # misfit, in stated standard deviations, above which something systematic is looked for
-BETTER = 0.25  # an undone fault must shrink the misfit to this part to be believed
-EXPLAINED = 50.0  # misfit that noise and effects leave at most; what leaves more explains nothing
-CHANCE = 1.3  # a misfit of this size is chance: whatever leaves no more explains it all
-ALIKE = 1.5  # within this factor a fault and its absence cannot be told apart
-PROMISING = 12  # faults, or pairs of them, that a first look finds best and that are fitted to the end
-PAIRED = 3  # single faults, beside the usual ones, that are tried together with others
-RIVALS = 3  # faults that would explain it equally well and are named
 
 
 @dataclass(frozen=True)

@@ -47,6 +47,14 @@ JOINTS, TOOL, TURN, BASE, BASE_TURN = "shift_q", "shift_tool", "shift_turn", "sh
 """Keys of the unknowns: joints as the controller counts them, tool and base in mm along and rad about their axes."""
 
 WIDE = 10.0  # standard deviation that stands for nothing known; these unknowns are given priors by whoever uses them
+SAME = 1e-6  # part of the motion of tip and flange by a joint that the arm's unknowns may fail to follow
+POSES = 60  # postures at which these motions are compared
+ANYWHERE = {"rad": 0.1, "mm": 100.0}  # standard deviations of what may have moved as far as anything does
+MOST = 30_000_000  # elements of a Jacobian that is held as a whole
+ANEW = ("growth",)  # keys of effects that move the tip and differ from session to session
+ALIKE = 1e-6  # difference (mm; of a rotation's elements) of two poses below which arms are one
+COMPARED = 8  # random joint values at which they are compared
+SPENT = 0.5  # part of the rows that are those of the calibration, from which on they verify nothing
 
 
 @dataclass(frozen=True)
@@ -95,10 +103,6 @@ def _rigid(place: Expression, turn: Expression) -> Expression:
     return ca.mtimes([each.matrix if isinstance(each, Product) else ca.SX(each) for each in factors])
 
 
-SAME = 1e-6  # part of the motion of tip and flange by a joint that the arm's unknowns may fail to follow
-POSES = 60  # postures at which these motions are compared
-
-
 def joint_direction(shifted: BoundProblem, x: Array, column: int, arm: NDArray[np.bool_]) -> Array | None:
     """Direction (n,) in the arm's unknowns that does what one unit of a joint's shift does; None where there is none.
 
@@ -128,10 +132,6 @@ def joint_direction(shifted: BoundProblem, x: Array, column: int, arm: NDArray[n
         return None
     found[own] = moves
     return found
-
-
-ANYWHERE = {"rad": 0.1, "mm": 100.0}  # standard deviations of what may have moved as far as anything does
-MOST = 30_000_000  # elements of a Jacobian that is held as a whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,9 +248,6 @@ class Fresh:
     def some(self, rows: NDArray[np.intp]) -> FreshRows:
         """The linear model of some residuals (rows), with every prior row."""
         return self.linear.take(np.concatenate([rows, np.arange(self.bound.rows, len(self.linear.residual))]))
-
-
-ANEW = ("growth",)  # keys of effects that move the tip and differ from session to session
 
 
 def with_memory(fresh: Fresh, arm: CalibratedArm) -> Fresh:
@@ -400,11 +397,6 @@ def _noise_used(result: CalibratedArm, bound: BoundProblem, *, other: bool) -> d
         return {OTHERS: math.sqrt(1 + max(excess, 0.0) / stated**2), **joints}
     factors = {name: used / stated for name, (stated, used) in pairs.items()}
     return {OTHERS: math.sqrt(float(np.mean([factor**2 for factor in factors.values()]))), **factors, **joints}
-
-
-ALIKE = 1e-6  # difference (mm; of a rotation's elements) of two poses below which arms are one
-COMPARED = 8  # random joint values at which they are compared
-SPENT = 0.5  # part of the rows that are those of the calibration, from which on they verify nothing
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,8 @@ from casacal.wording import listed
 SMALLEST = 1e-2
 """Part of the largest move, in prior standard deviations, below which geometry is not asked to mimic an effect: last
 link against tool, for one, which the tip hardly sees, would go a metre to gain a micrometre."""
+FLAT = 1e-3  # largest component of the gradient, by prior standard deviations, that counts as zero
+MOST_EXACT = 5_000  # whose exact Hessian takes a few seconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,10 +208,6 @@ def tip_error(fit: BoundProblem, result: Result, corrected: Collection[str], *, 
     """
     motion = Motion.of(fit, result, used_arm(fit, result, corrected))
     return expected_accuracy(motion.arm, motion.x, motion.off, usual=usual)[1]
-
-
-FLAT = 1e-3  # largest component of the gradient, by prior standard deviations, that counts as zero
-MOST_EXACT = 5_000  # whose exact Hessian takes a few seconds
 
 
 @dataclass(frozen=True, eq=False)

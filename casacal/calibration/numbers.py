@@ -27,16 +27,34 @@ from casacal.uncertainty.tip_error import tip_rms, tip_stds, without_rigid, work
 from casacal.values import Array, Index
 from casacal.wording import figures, listed
 
+MEASURED = 1.0  # standard deviation, mm, with which people measure a tool
+DISTINGUISHED = 4.5  # cost, in units of the noise, by which rows tell two causes apart: three standard deviations
+CHANCE_OF_MOVE = 1e-3  # chance that a tool as stated moves so far, all its components together
+FAR = 2.0
+"""Prior standard deviations that a component must move: where the model is wrong, small moves look improbable, too."""
+NO_DRAWING = 2.0  # mm by which no length of an arm differs from its drawing
+ANOTHER = 20.0  # standard deviations of a tool's prior by which a tool may differ that was exchanged or misread
+TOGETHER = 0.9  # correlation of a length and the tool, without sign, from which the rows see their sum alone
+WIDE = {"rad": 0.1, "mm": 20.0}  # smallest prior under which `calibrate` tries another number, by unit
+TWISTS = "alpha", "beta"  # angles of a DH table that no mastering moves
+WRONG = 5.0  # prior standard deviations from the drawing at which a number is another, not an error of manufacture
+SURE = 3.0  # standard deviations, with the noise as found, by which it must lie beyond
+ALONE = 16.0
+"""Times the others' mean by which what a number's prior costs must stand out: four standard deviations, squared."""
+SCALE, TOOL = "scale of the readings", "tool elsewhere"
+BY_CHANCE = 1e-4  # chance of a common scale, and more, where nothing scales lengths
+UNLIKELY = 1e-2  # the same, beyond which it is mentioned
+WARM = 1e-3  # part by which an arm grows that is 40 degrees warmer than its drawing, and more, of any metal
+MOST_PART = 0.1  # no dial is so wrong; where all touches were driven to one depth, readings seem to mean nothing at all
+TRIED = 2  # numbers that are freed one by one, those first that gain most
+LITTLE = {"mm": 5.0, "rad": math.radians(2.0)}  # by which an arm may differ that is otherwise built as drawn
+
 
 def tool_keys(problem: Problem) -> list[str]:
     """Keys of the instrument's unknown lengths that place its tip; empty for an instrument without one."""
     probe, unknowns = problem.instrument.probe, problem.instrument.unknowns
     moves = () if probe is None else probe.moves
     return [key for key in moves if isinstance(found := unknowns.get(key), Parameter) and found.unit == "mm"]
-
-
-MEASURED = 1.0  # standard deviation, mm, with which people measure a tool
-DISTINGUISHED = 4.5  # cost, in units of the noise, by which rows tell two causes apart: three standard deviations
 
 
 def priors_of(problem: Problem) -> Iterator[tuple[str, str, float, str]]:
@@ -77,12 +95,6 @@ def alike_numbers(bound: BoundProblem, keys: Sequence[str]) -> dict[str, str]:
     return as_good(bound, {name: [name] for name, *_ in priors_of(bound.problem)}, freed)
 
 
-CHANCE_OF_MOVE = 1e-3  # chance that a tool as stated moves so far, all its components together
-
-FAR = 2.0
-"""Prior standard deviations that a component must move: where the model is wrong, small moves look improbable, too."""
-
-
 def tool_elsewhere_at(bound: BoundProblem, x: Array, covariance: Array) -> list[Finding]:
     """A warning where the tool moved far beyond its prior in a fit, at its estimate (n,) with the covariance (n, n).
 
@@ -117,11 +129,6 @@ def tool_elsewhere_at(bound: BoundProblem, x: Array, covariance: Array) -> list[
     return [Finding("warning", "tool elsewhere", cause, fix)]
 
 
-NO_DRAWING = 2.0  # mm by which no length of an arm differs from its drawing
-ANOTHER = 20.0  # standard deviations of a tool's prior by which a tool may differ that was exchanged or misread
-TOGETHER = 0.9  # correlation of a length and the tool, without sign, from which the rows see their sum alone
-
-
 def _length_for_tool(bound: BoundProblem, x: Array, covariance: Array, tool: Index) -> list[Finding]:
     """A warning where a length of the arm moved far and the tool (its places in x) elsewhere fits as well."""
     stds = np.sqrt(np.diagonal(covariance))
@@ -138,23 +145,6 @@ def _length_for_tool(bound: BoundProblem, x: Array, covariance: Array, tool: Ind
             fix = f"Measure the tool from the flange; only if it is as stated, keep {name}"
             return [Finding("warning", f"tool or {name}", cause, fix)]
     return []
-
-
-WIDE = {"rad": 0.1, "mm": 20.0}  # smallest prior under which `calibrate` tries another number, by unit
-TWISTS = "alpha", "beta"  # angles of a DH table that no mastering moves
-WRONG = 5.0  # prior standard deviations from the drawing at which a number is another, not an error of manufacture
-SURE = 3.0  # standard deviations, with the noise as found, by which it must lie beyond
-
-ALONE = 16.0
-"""Times the others' mean by which what a number's prior costs must stand out: four standard deviations, squared."""
-
-SCALE, TOOL = "scale of the readings", "tool elsewhere"
-BY_CHANCE = 1e-4  # chance of a common scale, and more, where nothing scales lengths
-UNLIKELY = 1e-2  # the same, beyond which it is mentioned
-WARM = 1e-3  # part by which an arm grows that is 40 degrees warmer than its drawing, and more, of any metal
-MOST_PART = 0.1  # no dial is so wrong; where all touches were driven to one depth, readings seem to mean nothing at all
-
-TRIED = 2  # numbers that are freed one by one, those first that gain most
 
 
 def numbers(problem: Problem) -> Iterator[Fault]:
@@ -216,9 +206,6 @@ def _wrong_number(bound: BoundProblem, alone: bool) -> list[Finding]:
             cause = f"{name} seems to differ from the problem file{size}; no other parameter is so far off"
             return [Finding("error", f"{name} elsewhere", cause, _fix(name, unit) + _tried(name, unit, by))]
     return []
-
-
-LITTLE = {"mm": 5.0, "rad": math.radians(2.0)}  # by which an arm may differ that is otherwise built as drawn
 
 
 def borne_out(bound: BoundProblem, name: str) -> bool:

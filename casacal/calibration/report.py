@@ -55,6 +55,20 @@ from casacal.wording import METRE, capital, numbered_lines, sized
 MOST_FACES = 40  # faces with a line of their own
 SHOWN = 10  # rows listed
 LARGE = 4.0  # whitened residual beyond which fewer than one in ten thousand good rows lie
+SQUARES = 24  # squares along the longer side of a view
+MARKED = 240  # touches drawn on the maps, of all faces together
+POSTURES = 8192  # random postures within the joint limits that the map is made of; a multiple of the kernels' block
+TITLES = {"error": "Expected tip error", "correction": "Correction"}
+CAPTIONS = {
+    "error": f"Expected tip error after calibration, from {POSTURES:,} random postures within the joint limits; "
+    "black dots are where it touched. Each square is the RMS over the postures that lead there. Verify where it is "
+    "dark before you rely on it.",
+    "correction": "How far the calibrated tip lies from the nominal one, apart from the position of the base: what "
+    "the calibration changes.",
+}
+LOOKS: Mapping[Level, str] = {"calibrated": "good", "use with care": "care", "do not use": "bad"}
+"""How the page paints each level."""
+LINES = 60  # line numbers that are named
 
 
 def measured(touches: Touches, planes: Mapping[str, Any]) -> dict[str, Any]:
@@ -169,21 +183,6 @@ def cell_as_found(calibration: Calibration) -> Markup | None:
     return None if drawing is None else figure(f"{words}touched, all tips (dots), the table grey.", *drawing.overview())
 
 
-SQUARES = 24  # squares along the longer side of a view
-MARKED = 240  # touches drawn on the maps, of all faces together
-POSTURES = 8192  # random postures within the joint limits that the map is made of; a multiple of the kernels' block
-
-
-TITLES = {"error": "Expected tip error", "correction": "Correction"}
-CAPTIONS = {
-    "error": f"Expected tip error after calibration, from {POSTURES:,} random postures within the joint limits; "
-    "black dots are where it touched. Each square is the RMS over the postures that lead there. Verify where it is "
-    "dark before you rely on it.",
-    "correction": "How far the calibrated tip lies from the nominal one, apart from the position of the base: what "
-    "the calibration changes.",
-}
-
-
 def expected_error(each: Sequence[Touches], box: Box | None) -> dict[str, Any]:
     """Rows of the table of figures, the largest correction, and maps of error and correction from two sides."""
     calibration = each[0].calibration
@@ -278,12 +277,6 @@ class Workspace:
         frame_moved = (frame_tips - arm.tips(arm.x0, frame_joints)).reshape(-1, 1)
         correction = np.linalg.norm(up_to_base(moved, tips, frame_moved, frame_tips).reshape(-1, 3), axis=1)
         return Workspace(tips, error, correction)
-
-
-LOOKS: Mapping[Level, str] = {"calibrated": "good", "use with care": "care", "do not use": "bad"}
-"""How the page paints each level."""
-
-LINES = 60  # line numbers that are named
 
 
 def report_page(

@@ -48,6 +48,9 @@ LINED = 30  # series with lines between them
 MOST_POINTS = 150  # touches of a face beyond which means over small squares are drawn in place of points
 FACE_SQUARES = 14  # squares along the longer side of a face
 MOST_MAPS = 12
+LOOKED_AT = 4096  # rows of a face, evenly spread, whose tips and tilts are looked at; a multiple of the kernels' block
+COORDINATES = "xyz"
+TITLES: Mapping[When, str] = {"before": "Before", "after": "After"}
 
 
 def histograms(touches: Touches) -> Markup:
@@ -220,10 +223,7 @@ def _map(name: str, label: str, places: Places, means: Squares | None, scale: Sc
 
 Rows: TypeAlias = NDArray[np.intp]
 
-LOOKED_AT = 4096  # rows of a face, evenly spread, whose tips and tilts are looked at; a multiple of the kernels' block
-COORDINATES = "xyz"
 When: TypeAlias = Literal["before", "after"]
-TITLES: Mapping[When, str] = {"before": "Before", "after": "After"}
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,29 @@ REGION = 0.1  # part of a face's spread of touches within which these are of one
 ALONG = math.cos(math.radians(10))  # of the angle up to which plungers stand alike
 SHARED_BY_FEW = 15.0  # standard deviations beyond which a row is wrong even where its neighbours are off as well
 CHANCE = 1e-4  # chance that a clean set has any row called an outlier (Bonferroni)
+FLIPPED_ROWS = "orientation flipped"
+FLIPPED = 0.3  # chord of the least turn by which the two poses of a marker differ
+TURNS_MM = (1.0, 0.5, 2.54, 0.2)
+"""Length that one turn of a pointer shows, by dials on sale; several turns are only looked for of the first."""
+SHORT_TRAVEL = 2.0  # travel (mm) up to which a dial has turns of less than half a millimetre
+MOST_TURNS = 3
+SURE = 4.0  # standard deviations within which a reading must then fit
+SMALL = 1e-4  # step of the finite difference, mm
+MOST = 0.1  # part of the rows that may be set aside; where more are wrong, it is not single rows that are
+ROUNDS = 3  # fits without the rows found before: large outliers hide small ones
+WORTH_ANOTHER_LOOK = 10.0
+"""Standard deviations from a fit without it up to which a row is asked once more whether it belongs."""
+SUBSETS = 300  # random planes through three tips tried for the least median of squares
+JUDGES = 5_000  # tips, drawn at random, whose median judges them
+GROSS = 8.0  # times the robust scatter beyond which a nominal tip is not on its plane at all
+ONES_OWN = 2  # rows whose joints may be another row's, pasted or shifted by one, rather than their labels wrong
+MOST_STRAYS = 0.3  # beyond this fraction of the rows, it is not single rows that are wrong
+BY_CHANCE = 1e-4  # chance of a difference, and more, of what is one and the same
+OBSERVABLE = 1e-3  # whitened effect of a difference as large as the prior's, below which rows do not see it
+JUDGED_ROWS = 4096  # rows, evenly over all, that show whether instruments agree
+HELD = 1e-9  # part of a row's variance below which nothing but the row itself says where it is
+UNWEIGHTED = 1e6  # times its noise at which an instrument's rows say nothing
+MOVED = 2.0  # tip errors that the others promise, by which rows may move the tip before they contradict them
 
 
 @dataclass(frozen=True)
@@ -177,16 +200,6 @@ def _turned_alone(bound: BoundProblem, result: Result, rows: Sequence[int], most
     return f"{angles.min():.0f} degrees" if np.ptp(angles) < 1 else f"{angles.min():.0f} to {angles.max():.0f} degrees"
 
 
-FLIPPED_ROWS = "orientation flipped"
-FLIPPED = 0.3  # chord of the least turn by which the two poses of a marker differ
-TURNS_MM = (1.0, 0.5, 2.54, 0.2)
-"""Length that one turn of a pointer shows, by dials on sale; several turns are only looked for of the first."""
-SHORT_TRAVEL = 2.0  # travel (mm) up to which a dial has turns of less than half a millimetre
-MOST_TURNS = 3
-SURE = 4.0  # standard deviations within which a reading must then fit
-SMALL = 1e-4  # step of the finite difference, mm
-
-
 def lost_turns(
     bound: BoundProblem, result: Result, rows: Sequence[int], scale: float, i: int = 0
 ) -> dict[tuple[float, int], list[int]]:
@@ -215,18 +228,6 @@ def lost_turns(
                 found[count * turn, count].append(k)
                 break
     return found
-
-
-MOST = 0.1  # part of the rows that may be set aside; where more are wrong, it is not single rows that are
-ROUNDS = 3  # fits without the rows found before: large outliers hide small ones
-
-WORTH_ANOTHER_LOOK = 10.0
-"""Standard deviations from a fit without it up to which a row is asked once more whether it belongs."""
-SUBSETS = 300  # random planes through three tips tried for the least median of squares
-JUDGES = 5_000  # tips, drawn at random, whose median judges them
-GROSS = 8.0  # times the robust scatter beyond which a nominal tip is not on its plane at all
-ONES_OWN = 2  # rows whose joints may be another row's, pasted or shifted by one, rather than their labels wrong
-MOST_STRAYS = 0.3  # beyond this fraction of the rows, it is not single rows that are wrong
 
 
 def gross(bound: BoundProblem, *, drawn: BoundProblem | None = None) -> tuple[Rows, tuple[Finding, ...]]:
@@ -431,11 +432,6 @@ def _median_plane(tips: Array) -> tuple[Array, float]:
     return refined, 1.4826 * float(np.median(np.abs(tips @ fitted.normal - refined[3])))
 
 
-BY_CHANCE = 1e-4  # chance of a difference, and more, of what is one and the same
-
-OBSERVABLE = 1e-3  # whitened effect of a difference as large as the prior's, below which rows do not see it
-
-
 def not_the_same(bound: BoundProblem, result: Result) -> list[Finding]:
     """An error for what is declared as shared and differs between instruments, at the estimate of all their rows.
 
@@ -468,12 +464,6 @@ def not_the_same(bound: BoundProblem, result: Result) -> list[Finding]:
         fix = f"Measure again with the same for all, or leave '{key}' out of `shared`: then each has its own"
         found.append(Finding("error", f"{key} not the same", cause, fix))
     return found
-
-
-JUDGED_ROWS = 4096  # rows, evenly over all, that show whether instruments agree
-HELD = 1e-9  # part of a row's variance below which nothing but the row itself says where it is
-UNWEIGHTED = 1e6  # times its noise at which an instrument's rows say nothing
-MOVED = 2.0  # tip errors that the others promise, by which rows may move the tip before they contradict them
 
 
 def disagreement(bound: BoundProblem) -> list[Finding]:

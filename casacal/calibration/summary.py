@@ -37,6 +37,14 @@ from casacal.uncertainty.identifiability import NullDirection, WeakDirection, co
 from casacal.wording import METRE, capital, chance, counted, figures, listed, lower, mm, sized
 
 WORSE = 1.5  # expected error of the flange over that of the tip from which it is the tip that is worth correcting
+MOST_LINES = 15  # lines of the whole, files written included
+LONGEST = 60  # characters of a face's name
+SHOWN_DIRECTIONS = 6
+SHOWN_PAIRS = 4
+PLANNED = (
+    "casacal plan PROBLEM --after SAMPLES plans such touches; a new face or step goes into the problem file first. "
+    "Figures here use noise and effects as found, those of plan as stated."
+)
 
 
 def next_step(
@@ -116,9 +124,6 @@ def _repair(calibration: Calibration, check: str) -> str:
         return f"run {check}, which looks closer at the samples."
     cure = _best(calibration)
     return f"{cure.words}." if cure is not None else "give every parameter a prior, or hold it with --fix."
-
-
-MOST_LINES = 15  # lines of the whole, files written included
 
 
 def brief(
@@ -217,9 +222,6 @@ def _wrapped(sentences: Sequence[str], width: int) -> list[str]:
             sentence, width, subsequent_indent="  ", break_on_hyphens=False, break_long_words=False
         )
     ]
-
-
-LONGEST = 60  # characters of a face's name
 
 
 @dataclass(frozen=True)
@@ -383,14 +385,6 @@ def corrected_words(calibration: Calibration) -> list[str]:
         f"The result corrects {named}; predict, compensate and the C export apply it. Tables of lengths",
         f"and angles cannot: with those alone expect a tip error of {mm(alone)} RMS.",
     ]
-
-
-SHOWN_DIRECTIONS = 6
-SHOWN_PAIRS = 4
-PLANNED = (
-    "casacal plan PROBLEM --after SAMPLES plans such touches; a new face or step goes into the problem file first. "
-    "Figures here use noise and effects as found, those of plan as stated."
-)
 
 
 def summary(calibration: WithVerdict, name: str) -> str:

@@ -41,6 +41,22 @@ REPEAT = (
     "the noise, if it is known to be larger (--set noise_std=MM)"
 )
 """Step that settles a doubt of unknown cause."""
+GAIN = 0.9  # expected tip error over the one before, above which little was gained
+WORSE = 1.1  # residual after over before, on the very rows that were fitted, above which calibrating made the arm worse
+EXPLAINED = 0.5  # residual after over before, above which a fit that does not reach the noise has explained nothing
+BENT = 10.0  # prior standard deviations by which no arm differs from its drawing; who knows better states wider priors
+FARTHEST = 1e5  # mm or rad beyond which a number of an arm wandered off; result.schema.json takes none so large
+TOO_LOOSE = 1e-3
+"""Chance below which a drawn arm that misses so little contradicts its priors, and these must not decide."""
+USELESS = 20.0  # mm; an arm as drawn and a tool held against a rule err by less, so such a tip is not calibrated
+LITTLE_TURNED = 20.0  # degrees between postures below which a tool is hardly seen
+MEMBER = 1e-3
+"""Part of a direction's length above which a parameter takes part in it."""
+LEAST_SHOWN = 0.01  # millimetres below which nobody asks how little a tip errs
+LEFT_TO_PRIORS = 0.5
+"""Expected tip error over the one before, above which the priors decide more of it than the samples."""
+OVERSTATED = 0.3  # found over stated noise, surely below which rows count for a tenth of what they are worth
+CONTRADICTED = 1e-3  # chance below which new rows do not fit what an earlier result knows
 
 
 @dataclass(frozen=True)
@@ -281,28 +297,6 @@ def larger_than_any(calibration: Calibration) -> Doubt | None:
     )
 
 
-GAIN = 0.9  # expected tip error over the one before, above which little was gained
-WORSE = 1.1  # residual after over before, on the very rows that were fitted, above which calibrating made the arm worse
-EXPLAINED = 0.5  # residual after over before, above which a fit that does not reach the noise has explained nothing
-BENT = 10.0  # prior standard deviations by which no arm differs from its drawing; who knows better states wider priors
-
-FARTHEST = 1e5  # mm or rad beyond which a number of an arm wandered off; result.schema.json takes none so large
-
-TOO_LOOSE = 1e-3
-"""Chance below which a drawn arm that misses so little contradicts its priors, and these must not decide."""
-
-USELESS = 20.0  # mm; an arm as drawn and a tool held against a rule err by less, so such a tip is not calibrated
-LITTLE_TURNED = 20.0  # degrees between postures below which a tool is hardly seen
-
-MEMBER = 1e-3
-"""Part of a direction's length above which a parameter takes part in it."""
-
-LEAST_SHOWN = 0.01  # millimetres below which nobody asks how little a tip errs
-
-LEFT_TO_PRIORS = 0.5
-"""Expected tip error over the one before, above which the priors decide more of it than the samples."""
-
-
 def verdict_of(calibration: Calibration) -> Verdict:
     """Whether to use a result; what speaks against it decides, the weightiest first."""
     calibration = calibration.unjudged
@@ -494,10 +488,6 @@ def unexplained(calibration: Calibration) -> str:
     if moved > FAR:
         return f"{said}, even though parameters moved by up to {moved:.0f} prior standard deviations"
     return ""
-
-
-OVERSTATED = 0.3  # found over stated noise, surely below which rows count for a tenth of what they are worth
-CONTRADICTED = 1e-3  # chance below which new rows do not fit what an earlier result knows
 
 
 def earlier_contradicted(calibration: Calibration) -> str:

@@ -53,6 +53,8 @@ NUMBERS = {
     "error-scale": ("X", "size of the arm's true errors, in prior standard deviations"),
 }
 """Options that are a number: its unit, and what it is."""
+SHOWN = 1e-3  # degrees, or hundredths of a mm, that a controller shows
+MOVED = 10.0  # degrees, or tens of mm, beyond which a posture is another one than the plan's
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -149,10 +151,6 @@ def _route(source: ProblemFile, options: argparse.Namespace) -> Route | None:
     if set(found.purposes) == {CHECK}:
         raise CasacalError(f"All touches of {options.plan} are kept to verify", "Give a plan with touches to fit")
     return found
-
-
-SHOWN = 1e-3  # degrees, or hundredths of a mm, that a controller shows
-MOVED = 10.0  # degrees, or tens of mm, beyond which a posture is another one than the plan's
 
 
 def _compared(

@@ -13,6 +13,7 @@ from casacal.values import Array, FrozenMapping, Value, read_only
 from casacal.wording import listed, sentence
 
 Level = Literal["calibrated", "use with care", "do not use"]
+TIP_ERRORS = ("expected", "prior", "flange_expected", "flange_prior")
 
 
 @dataclass(frozen=True)
@@ -86,9 +87,6 @@ class TipErrors(Value):
     prior_mm: float
     flange_expected_mm: float
     flange_prior_mm: float
-
-
-TIP_ERRORS = ("expected", "prior", "flange_expected", "flange_prior")
 
 
 @dataclass(frozen=True, eq=False)

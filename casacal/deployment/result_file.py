@@ -31,6 +31,10 @@ from casacal.model.unknown import Parameter
 from casacal.wording import lower
 
 FIX = "Restore the file, or calibrate again"
+FREE = ("seal", "seconds", BY)  # keys that are not sealed
+RESTORE = "Restore it, or calibrate again"
+SCHEMA = 2  # version of the files written now. Those without a number are older: they need their problem.py
+LARGEST_SOURCE = 100_000_000  # bytes beyond which a file is none that an arm was made from
 
 
 def schema_text() -> str:
@@ -158,11 +162,6 @@ def _short(value: Any) -> str:
     return text if len(text) <= 40 else f"{text[:40]}..."
 
 
-FREE = ("seal", "seconds", BY)  # keys that are not sealed
-
-RESTORE = "Restore it, or calibrate again"
-
-
 def sealed(document: Mapping[str, Any]) -> dict[str, Any]:
     """The document with its seal, made anew where it has one."""
     keys = sorted(key for key in document if key not in FREE)
@@ -173,10 +172,6 @@ def sealed(document: Mapping[str, Any]) -> dict[str, Any]:
 def _digest(document: Mapping[str, Any], keys: Sequence[str]) -> str:
     guarded = [list(keys), {key: document[key] for key in keys if key in document}]
     return hashlib.sha256(json.dumps(guarded, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
-
-
-SCHEMA = 2  # version of the files written now. Those without a number are older: they need their problem.py
-LARGEST_SOURCE = 100_000_000  # bytes beyond which a file is none that an arm was made from
 
 
 def read_result(path: str | Path, *, problem: Problem | None = None) -> CalibratedArm:

@@ -38,6 +38,13 @@ STRAY_WEIGHT = -2.0
 AS_LIKELY = math.log(20.0)  # logarithm of evidence by which explanations may differ that are both named
 ALONG = 0.02  # noise of a touch over that of others below which its plunger lies along the face
 AS_GOOD = 4  # explanations that are named at most
+FACTORS = tuple(1.25**k for k in range(1, 18))  # noise over what was stated, among which the likeliest is looked for
+TELLING = 4.5  # logarithm of likelihoods from which on stated noise is given up: e^4.5, 90 to one
+NEAR, MOVES = 0.5, 5  # part of what it begins with by which a face may be elsewhere; times that it is moved
+FEWEST = 12  # touches from which on their scatter is looked at
+SURE = 0.95  # part of all arms whose error stays below what is promised
+POOL = 600  # touches among which the next one is looked for
+MOST = 200  # more touches than anybody makes
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,11 +244,6 @@ class SessionSetting(Value):
 Places = Mapping[str, Array]
 """Where things stand that were declared without a nominal value, by the full name of the unknown."""
 
-FACTORS = tuple(1.25**k for k in range(1, 18))  # noise over what was stated, among which the likeliest is looked for
-TELLING = 4.5  # logarithm of likelihoods from which on stated noise is given up: e^4.5, 90 to one
-NEAR, MOVES = 0.5, 5  # part of what it begins with by which a face may be elsewhere; times that it is moved
-FEWEST = 12  # touches from which on their scatter is looked at
-
 
 @dataclass(frozen=True, eq=False)
 class Known(Value):
@@ -403,11 +405,6 @@ def covered(bound: BoundProblem, samples: Samples) -> NDArray[np.bool_]:
         for label, rows in instances(bound.problem.instrument, key, unknown, samples):
             found[rows] &= label is None or f"{key}.{label}" in have
     return found
-
-
-SURE = 0.95  # part of all arms whose error stays below what is promised
-POOL = 600  # touches among which the next one is looked for
-MOST = 200  # more touches than anybody makes
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,11 @@ from casacal.model.problem import Problem
 from casacal.planning.route import CHECK, FIT, PURPOSES
 from casacal.values import Array, FrozenMapping, Value, is_finite, read_only
 
+SHOWN = 3  # decimals of a reading in mm as people type it, and of a joint value in degrees or mm
+SESSION_COLUMNS = ("order", "touch", "purpose", "kept")
+"""Columns that a session adds to those of samples: order, number in the plan, purpose, whether it was kept."""
+KEPT, NONE = "yes", "-"
+
 
 @dataclass(frozen=True, eq=False)
 class Touch(Value):
@@ -125,9 +130,6 @@ def beyond_travel(problem: Problem, columns: Mapping[str, float]) -> str | None:
     return f"{reading:g} mm is outside the dial's range of {low:g} to {high:g} mm"
 
 
-SHOWN = 3  # decimals of a reading in mm as people type it, and of a joint value in degrees or mm
-
-
 @dataclass(frozen=True, eq=False)
 class Slip(Value):
     """A typing mistake: its kind, words, the touch without it, and the logarithm of its prior weight."""
@@ -210,12 +212,6 @@ def _mistyped(value: float) -> list[tuple[float, float]]:
     found = [(float(other), weight) for other, weight in wrong.items() if other != text]
     found += [(abs(value) * times, -2.0) for times in (10.0, 0.1) if value]
     return [(math.copysign(other, value), weight) for other, weight in found]
-
-
-SESSION_COLUMNS = ("order", "touch", "purpose", "kept")
-"""Columns that a session adds to those of samples: order, number in the plan, purpose, whether it was kept."""
-
-KEPT, NONE = "yes", "-"
 
 
 @dataclass(frozen=True)
