@@ -13,7 +13,6 @@ import numpy as np
 from casacal.calibration.conventions import in_problem, patterns
 from casacal.calibration.finding import (
     FIRST_STEPS,
-    STEPS,
     Fault,
     Finding,
     Undo,
@@ -602,7 +601,8 @@ def _one(fault: Fault, before: _Attempt) -> Iterator[_Attempt]:
     except CasacalError:  # such as a tool of an instrument that holds it
         return
     undone = replace(undone, found=before.undone.found + undone.found)
-    yield _Attempt((*before.faults, fault), undone, _left(undone, FIRST_STEPS))
+    size = misfit(undone.problem, undone.samples, steps=FIRST_STEPS, start=undone.start)
+    yield _Attempt((*before.faults, fault), undone, size)
 
 
 def _looked_at_closely(tried: list[_Attempt]) -> list[_Attempt]:
@@ -613,18 +613,13 @@ def _looked_at_closely(tried: list[_Attempt]) -> list[_Attempt]:
 
 def _to_the_end(trial: _Attempt) -> _Attempt:
     """A trial with its final misfit: infinite where shuffled joint values would fit about as well."""
-    size = _left(trial.undone, STEPS)
+    undone, samples = trial.undone, trial.undone.samples
+    size = misfit(undone.problem, samples, start=undone.start)
     if size > EXPLAINED:
         return replace(trial, size=size)
-    samples = trial.undone.samples
     mixed = replace(samples, joints=np.random.default_rng(0).permuted(samples.joints, axis=0))
-    says_nothing = misfit(trial.undone.problem, mixed, start=trial.undone.start) * BETTER < max(size, SUSPICIOUS)
+    says_nothing = misfit(undone.problem, mixed, start=undone.start) * BETTER < max(size, SUSPICIOUS)
     return replace(trial, size=math.inf if says_nothing else size)
-
-
-def _left(undone: Undone, steps: int) -> float:
-    """The misfit that is left."""
-    return misfit(undone.problem, undone.samples, steps=steps, start=undone.start)
 
 
 def _pairs(tried: list[_Attempt], problem: Problem) -> list[_Attempt]:

@@ -265,16 +265,16 @@ def gross(bound: BoundProblem, *, drawn: BoundProblem | None = None) -> tuple[Ro
         bad = _taken_back(bound, bad, stray)
     rest = _without(bound, bad)
     if rest is not None and any(bound.beside):  # where much is known beside the geometry, others may expect a row so
-        judged, result = _judged(rest, bound)
-        bad &= stray | (_sizes(judged, result) > _most(judged))
+        *_, sizes, most = _judged(rest, bound)
+        bad &= stray | (sizes > most)
         rest = _without(bound, bad)
     if rest is None:
         return none, ()
     if (bad & ~stray).any():
-        judged, result = _judged(rest, bound)
+        judged, result, sizes, most = _judged(rest, bound)
         rows = np.flatnonzero(bad & ~stray)
-        worst = float(_sizes(judged, result)[rows].max())
-        findings += single_rows(judged, result, Outliers(tuple(rows.tolist()), worst, _most(judged), 1.0))
+        off = Outliers(tuple(rows.tolist()), float(sizes[rows].max()), most, 1.0)
+        findings += single_rows(judged, result, off)
     return bad, tuple(findings)
 
 
@@ -308,8 +308,8 @@ def _taken_back(bound: BoundProblem, bad: Rows, stray: Rows) -> Rows:
     rest = _without(bound, bad)
     if rest is None:
         return bad
-    judged, result = _judged(rest, bound)
-    again = bad & ~stray & (_sizes(judged, result) < WORTH_ANOTHER_LOOK)
+    *_, sizes, _ = _judged(rest, bound)
+    again = bad & ~stray & (sizes < WORTH_ANOTHER_LOOK)
     more = _without(bound, bad & ~again)
     if not again.any() or more is None:
         return bad
@@ -319,21 +319,16 @@ def _taken_back(bound: BoundProblem, bad: Rows, stray: Rows) -> Rows:
     return held
 
 
-def _sizes(judged: BoundProblem, result: Result) -> Array:
-    """Largest standardised residual (N,) of each row."""
-    return judged.largest(np.abs(judged.residual(result.x)))
+def _judged(rest: BoundProblem, whole: BoundProblem) -> tuple[BoundProblem, Result, Array, float]:
+    """All rows with the noise that the rest shows, and a fit of the rest alone.
 
-
-def _most(judged: BoundProblem) -> float:
-    """Largest standardised residual that chance explains."""
-    return most_by_chance(judged.rows, judged.rows - judged.beside.count(""))
-
-
-def _judged(rest: BoundProblem, whole: BoundProblem) -> tuple[BoundProblem, Result]:
-    """All rows with the noise that the rest shows, and a fit of the rest alone."""
+    Then the largest standardised residual (N,) of each row, and the largest that chance explains.
+    """
     result = lm(rest)
     noise = 1.4826 * float(np.median(np.abs(rest.residual(result.x))))
-    return rest.on(*whole.samples).with_noise(times(rest.scale, max(noise, 1.0))), result
+    judged = rest.on(*whole.samples).with_noise(times(rest.scale, max(noise, 1.0)))
+    sizes = judged.largest(np.abs(judged.residual(result.x)))
+    return judged, result, sizes, most_by_chance(judged.rows, judged.rows - judged.beside.count(""))
 
 
 def off_their_face(bound: BoundProblem, scatter: float) -> tuple[Rows, list[Finding]]:
