@@ -273,8 +273,8 @@ def gross(bound: BoundProblem, *, drawn: BoundProblem | None = None) -> tuple[Ro
     if (bad & ~stray).any():
         judged, result, sizes, most = _judged(rest, bound)
         rows = np.flatnonzero(bad & ~stray)
-        off = Outliers(tuple(rows.tolist()), float(sizes[rows].max()), most, 1.0)
-        findings += single_rows(judged, result, off)
+        odd = Outliers(tuple(rows.tolist()), float(sizes[rows].max()), most, 1.0)
+        findings += single_rows(judged, result, odd)
     return bad, tuple(findings)
 
 
