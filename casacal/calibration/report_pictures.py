@@ -121,8 +121,22 @@ def _by_row(touches: Touches, when: When) -> Markup:
     top = nice_ceiling(min(largest, REACH * spread(everything)))
     panel = Panel((0.0, float(count)), (-top, top))
     drawn, beyond = [], []
+    most = max(DRAWN // (count * len(touches.parts)), 2)
+    series = np.unique(np.linspace(0, count - 1, MOST_SERIES).astype(int)).tolist()
     for part in touches.parts:
-        x, y = _points(touches, part, when)
+        values, across, up = part.residuals(when), [np.zeros(0)], [np.zeros(0)]
+        several = values.shape[1] > 1  # a series is then one of a row's residuals
+        for k in series:  # one unit along the axis for each
+            rows = np.arange(len(values)) if several else part.rows_of(touches.faces[k])
+            rows = rows[np.argsort(part.lines[rows], kind="stable")]
+            if len(rows):
+                own = values[rows, k if several else 0]
+                kept = np.union1d(
+                    thinned(np.arange(len(rows)), most), np.argsort(-np.abs(own), kind="stable")[:LARGEST]
+                )
+                across.append(k + 0.06 + 0.88 * (kept + 0.5) / len(rows))
+                up.append(own[kept])
+        x, y = np.concatenate(across), np.concatenate(up)
         inside = np.abs(y) <= top
         drawn.append(dots(panel, x[inside], y[inside], "dot held" if part.held else f"dot {when}"))
         beyond.append(dots(panel, x[~inside], top * np.sign(y[~inside]), "dot beyond"))
@@ -142,24 +156,6 @@ def _by_row(touches: Touches, when: When) -> Markup:
         *drawn,
         *beyond,
     )
-
-
-def _points(touches: Touches, part: Part, when: When) -> tuple[Array, Array]:
-    """Places along the axis, one unit per series, and residuals of the rows that are drawn."""
-    count, values = len(touches.series), part.residuals(when)
-    most = max(DRAWN // (count * len(touches.parts)), 2)
-    across, up = [np.zeros(0)], [np.zeros(0)]
-    for k in np.unique(np.linspace(0, count - 1, MOST_SERIES).astype(int)).tolist():
-        several = values.shape[1] > 1  # a series is then one of a row's residuals
-        rows = np.arange(len(values)) if several else part.rows_of(touches.faces[k])
-        rows = rows[np.argsort(part.lines[rows], kind="stable")]
-        if len(rows):
-            own = values[rows, k if several else 0]
-            largest = np.argsort(-np.abs(own), kind="stable")[:LARGEST]
-            kept = np.union1d(thinned(np.arange(len(rows)), most), largest)
-            across.append(k + 0.06 + 0.88 * (kept + 0.5) / len(rows))
-            up.append(own[kept])
-    return np.concatenate(across), np.concatenate(up)
 
 
 def face_maps(touches: Touches) -> Markup | None:
