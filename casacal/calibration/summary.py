@@ -7,7 +7,6 @@ import re
 import shlex
 import textwrap
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -450,14 +449,7 @@ def _of_the_arm(calibration: WithVerdict) -> Iterator[str]:
             f"From the samples alone, without priors, {samples_alone}.",
         ]
         yield "\n".join(lines)
-        with suppress(CasacalError):  # where the estimate is no minimum, nobody knows how it follows the readings
-            rows, priors = calibration.sensitivity.most()
-            shown = {
-                "rows": [f"line {line} ({mm(tip)})" for line, tip in rows],
-                "priors": [f"{name} ({mm(tip)})" for name, tip in priors],
-            }
-            lines = [f"  {what}: {', '.join(names)}" for what, names in shown.items() if names]
-            yield "\n".join(["What moves the tip most, by one standard deviation each:", *lines]) if lines else ""
+        yield _most(calibration)
     table, held = parameters_table(calibration)
     lines = [table.text()] if table.rows else []
     lines += [f"held at nominal: {', '.join(held)}"] if held else []
@@ -467,6 +459,20 @@ def _of_the_arm(calibration: WithVerdict) -> Iterator[str]:
         )
     yield "\n".join(lines)
     yield _blind_spots(calibration)
+
+
+def _most(calibration: Calibration) -> str:
+    """The rows and the priors that move the tip most; nothing where the estimate is no minimum."""
+    try:
+        rows, priors = calibration.sensitivity.most()
+    except CasacalError:
+        return ""
+    shown = {
+        "rows": [f"line {line} ({mm(tip)})" for line, tip in rows],
+        "priors": [f"{name} ({mm(tip)})" for name, tip in priors],
+    }
+    lines = [f"  {what}: {', '.join(names)}" for what, names in shown.items() if names]
+    return "\n".join(["What moves the tip most, by one standard deviation each:", *lines]) if lines else ""
 
 
 def _blind_spots(calibration: WithVerdict) -> str:
