@@ -11,9 +11,8 @@ import pytest
 from conftest import ROOT
 
 from casacal import CasacalError, DialOnPlane, Problem, calibrate, dial_zero, load_problem, plan
-from casacal.calibration import tables
 from casacal.calibration.saved import SavedCalibration
-from casacal.calibration.summary import next_step
+from casacal.calibration.summary import direction_table, next_step
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.data.samples import write_samples
@@ -272,6 +271,6 @@ def test_the_better_set_up_keeps_clear_of_what_the_plan_does(tmp_path, capsys):
 
 
 def test_directions_that_move_no_tip_are_listed_by_name(corner_calibration):
-    _, harmless = tables.directions(corner_calibration)
+    _, harmless = direction_table(corner_calibration)
     assert len(harmless) > 2
     assert harmless == sorted(harmless)

@@ -19,7 +19,7 @@ from casacal.data.text import is_number
 from casacal.fit.bound_problem import ABSURD, BoundProblem, each_alone
 from casacal.fit.nominal import nominal_sight
 from casacal.model.geometry import fitted_plane
-from casacal.model.instrument import OVERTRAVEL, Probe, readings_within
+from casacal.model.instrument import OVERTRAVEL, readings_within
 from casacal.model.problem import Problem
 from casacal.model.robot import random_joints
 from casacal.values import Array, Rows
@@ -30,6 +30,24 @@ SHOWN_UNITS = {"angle": " degrees", "length": " mm", "number": ""}
 GRIDS = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)  # degrees, or mm
 FAR = 10.0  # times its travel by which no dial is outside it
 ENOUGH_ROWS = 12  # rows from which a common grid of values cannot be chance
+LABELS_ALIKE = "labels alike"
+LOST_STEP = "step without a face"
+MARGIN = 2  # rows that a label needs beside one for each unknown of its own
+RARE = 0.03
+FEW = 3  # a label of no more rows, in no more than this part of all, is rare
+SHORTEST = 4  # letters from which one letter more or less is a slip and not another name
+MOST_LABELS = 200  # labels that are compared with one another; where there are more they are numbers, not names
+SMALLEST_TILT = 5.0
+"""Degrees between plunger and normal below which touches count as normal; 10 or more remove the blindness."""
+SMALLEST_FACE = 0.05  # fraction of the arm's reach that touches of a face should span
+SMALLEST_ANGLE = 20.0  # degrees between faces below which they count as parallel
+ROWS_PER_UNKNOWN = 1.5  # fewer leave little to tell the noise and single bad rows by; as a plan takes at least
+CLEARLY = 4.0  # times as far or as near as it might be by chance
+NO_LENGTH = "no length was measured"
+IN_METRES = 0.1, 20.0
+"""Extent (mm) of the flange's way over random postures that only an arm has whose lengths are metres."""
+POSTURES = 40
+WRONG_SIGN = "wrong dial sign"
 
 
 def repeated(samples: Samples) -> list[Finding]:
@@ -75,10 +93,9 @@ def lost_targets(problem: Problem, samples: Samples) -> tuple[list[Finding], Sam
     return [Finding("error", about, cause, fix, _lines(samples, lost))], samples.take(np.flatnonzero(~lost))
 
 
-def outside(problem: Problem, samples: Samples) -> list[Finding]:
+def outside(problem: Problem, samples: Samples) -> Iterator[Finding]:
     """Readings outside the dial's travel, joints outside their limits, angles that no joint turns to."""
-    findings, instrument = list[Finding](), problem.instrument
-    probe = instrument.probe
+    instrument, probe = problem.instrument, problem.instrument.probe
     if probe is not None and probe.column is not None:
         reading, (low, high) = samples.columns[probe.column], readings_within(probe.travel)
         beyond = np.maximum(low - reading, reading - high)
@@ -92,32 +109,25 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
             fix = "Dials show a little more than their travel; see that the plunger was not at its end there"
             fix = fix if little else _declared(least, most, low, high)
             severity: Severity = "warning" if little else "error"
-            findings.append(Finding(severity, OUTSIDE, cause, fix, _lines(samples, bad)))
+            yield Finding(severity, OUTSIDE, cause, fix, _lines(samples, bad))
     for name, kind in instrument.columns.items():
-        findings += _beyond_limits(samples, name, kind, instrument.reading_limits.get(name, (-math.inf, math.inf)))
+        factor, ends = WRITTEN[kind][1], instrument.reading_limits.get(name, (-math.inf, math.inf))
+        value, (low, high) = samples.columns[name] * factor, (end * factor for end in ends)
+        bad = (value < low) | (value > high)
+        if bad.any():
+            many, span = counted(int(bad.sum()), "value"), f"{low:g} to {high:g}{SHOWN_UNITS[kind]}"
+            mirrored = ((-value >= low) & (-value <= high)).all()
+            fix = "Check these rows, the column's unit, or the limits"
+            fix = f"Reverse the sign of column '{name}'" if mirrored else fix
+            cause = f"{many} of '{name}' outside its reading_limits, {span}"
+            yield Finding("error", OUT_OF_LIMITS, cause, fix, _lines(samples, bad))
     for i, (lower, upper) in enumerate(zip(*problem.robot.limits, strict=True)):
         bad = (samples.joints[:, i] < lower - 0.02) | (samples.joints[:, i] > upper + 0.02)
         bad &= not (problem.robot.revolute[i] and upper - lower == 2 * math.pi)  # it turns on and on, however counted
         if bad.any():
             cause = f"{counted(int(bad.sum()), 'value')} outside the limits that the problem declares"
             fix = "Check the order, signs and units of the joint columns, or the limits"
-            findings.append(Finding("warning", f"joint {i + 1} outside its limits", cause, fix, _lines(samples, bad)))
-    return findings
-
-
-def _beyond_limits(samples: Samples, name: str, kind: Dimension, ends: tuple[float, float]) -> Iterator[Finding]:
-    """An error on readings outside the `reading_limits` of a user-defined instrument."""
-    _, factor, _ = WRITTEN[kind]
-    reading, (low, high) = samples.columns[name] * factor, (end * factor for end in ends)
-    bad = (reading < low) | (reading > high)
-    if bad.any():
-        unit = SHOWN_UNITS[kind]
-        cause = f"{counted(int(bad.sum()), 'value')} of '{name}' outside its reading_limits, {low:g} to {high:g}{unit}"
-        mirrored = ((-reading >= low) & (-reading <= high)).all()
-        fix = (
-            f"Reverse the sign of column '{name}'" if mirrored else "Check these rows, the column's unit, or the limits"
-        )
-        yield Finding("error", OUT_OF_LIMITS, cause, fix, _lines(samples, bad))
+            yield Finding("warning", f"joint {i + 1} outside its limits", cause, fix, _lines(samples, bad))
 
 
 def _declared(least: float, most: float, low: float, high: float) -> str:
@@ -134,10 +144,9 @@ def _declared(least: float, most: float, low: float, high: float) -> str:
     return f"{middle}; {rest}"
 
 
-def rounded(bound: BoundProblem) -> list[Finding]:
+def rounded(bound: BoundProblem) -> Iterator[Finding]:
     """Joint values or readings written so coarsely that rounding outweighs the stated noise."""
-    samples, findings = bound.block.samples, []
-    noise = float(np.median(bound.block.noise))
+    samples, noise = bound.block.samples, float(np.median(bound.block.noise))
     for kind, grids in (("revolute", np.radians(GRIDS)), ("prismatic", np.array(GRIDS))):
         joints = [i for i, joint in enumerate(bound.problem.robot.axes) if joint.kind == kind]
         steps = {i: _grid(samples.joints[:, i], grids) for i in joints}
@@ -151,7 +160,7 @@ def rounded(bound: BoundProblem) -> list[Finding]:
                 f"tip by up to {figures(effect, 2)} mm; the stated noise is {figures(noise, 2)} mm"
             )
             fix = "Log the joints with more digits, or declare the joint repeatability"
-            findings.append(Finding("error" if effect > 2 * noise else "warning", "joints rounded", cause, fix))
+            yield Finding("error" if effect > 2 * noise else "warning", "joints rounded", cause, fix)
     instrument, here = bound.problem.instrument, bound.residual(bound.x0)
     whole = any(block.unit == "rad" for block in instrument.blocks)  # poses; other angles and numbers may be settings
     for dimension in get_args(Dimension) if whole else ("length",):
@@ -169,8 +178,7 @@ def rounded(bound: BoundProblem) -> list[Finding]:
                 "times the stated noise"
             )
             fix = "Read them more finely and write more digits, or declare a larger noise"
-            findings.append(Finding("warning", "readings rounded", cause, fix))
-    return findings
+            yield Finding("warning", "readings rounded", cause, fix)
 
 
 def _blur(bound: BoundProblem, steps: dict[int, float]) -> float:
@@ -200,48 +208,32 @@ def _lines(samples: Samples, bad: Rows) -> tuple[int, ...]:
     return tuple(samples.lines[i] for i in np.flatnonzero(bad).tolist())
 
 
-LABELS_ALIKE = "labels alike"
-LOST_STEP = "step without a face"
-MARGIN = 2  # rows that a label needs beside one for each unknown of its own
-RARE = 0.03
-FEW = 3  # a label of no more rows, in no more than this part of all, is rare
-SHORTEST = 4  # letters from which one letter more or less is a slip and not another name
-MOST_LABELS = 200  # labels that are compared with one another; where there are more they are numbers, not names
+def lost_labels(problem: Problem, samples: Samples) -> Iterator[Finding]:
+    """Columns by which a problem declares its unknowns to differ and which the samples lack, and steps without a face.
 
-
-def absent_labels(problem: Problem, samples: Samples) -> list[Finding]:
-    """Warnings on columns by which a problem declares its unknowns to differ, and which the samples do not have.
-
-    Columns by which an instrument's unknowns differ anyhow, such as `plane`, may be left out where there is one.
+    Columns by which an instrument's unknowns differ anyhow, such as `plane`, may be left out where there is one. A step
+    in rows that stands on a face without rows is an error, a step that no row is on is worth a warning.
     """
-    found = []
     for key, unknown in problem.instrument.unknowns.items():
-        usual = getattr(getattr(type(problem.instrument), key, None), "per", None)
-        column = unknown.per
+        usual, column = getattr(getattr(type(problem.instrument), key, None), "per", None), unknown.per
         if column is not None and column != usual and samples.labels[column].names == (column,):
             cause = (
                 f"there is no column '{column}', which '{key}' is declared to depend on; all rows count as one group"
             )
-            found.append(Finding("warning", "labels absent", cause, f"Add the column, or declare '{key}' without it"))
-    return found
-
-
-def lost_steps(problem: Problem, samples: Samples) -> list[Finding]:
-    """Errors on steps in rows that stand on a face without rows, warnings of steps that no row is on."""
+            yield Finding("warning", "labels absent", cause, f"Add the column, or declare '{key}' without it")
     probe = problem.instrument.probe
     names = () if probe is None or probe.label is None else samples.faces(probe.label).names
     if probe is None or names in ((), (probe.label,)):
-        return []
-    found, there = [], f"The labels there are: {shortened(names)}"
+        return
+    there = f"The labels there are: {shortened(names)}"
     for step in probe.steps:
         on = problem.instrument.instance("plane", step)
         if step in names and on not in names:
             cause = f"'{step}' is declared to stand on '{on}', and no row is on '{on}', so its height tells nothing"
-            found.append(Finding("error", LOST_STEP, cause, f"Correct the step in the problem, or the labels. {there}"))
+            yield Finding("error", LOST_STEP, cause, f"Correct the step in the problem, or the labels. {there}")
         elif step not in names:
             cause = f"'{step}' is declared as a step on '{on}', and no row is on '{step}', so its height tells nothing"
-            found.append(Finding("warning", LOST_STEP, cause, f"Touch it, or correct the label. {there}"))
-    return found
+            yield Finding("warning", LOST_STEP, cause, f"Touch it, or correct the label. {there}")
 
 
 def odd_labels(problem: Problem, samples: Samples) -> list[Finding]:
@@ -253,7 +245,13 @@ def odd_labels(problem: Problem, samples: Samples) -> list[Finding]:
     counts = dict(zip(labels.names, np.bincount(labels.codes, minlength=len(labels.names)).tolist(), strict=True))
     declared = {label for known in problem.instrument.known_columns.values() for label in known}
     alike = _alike(counts) if len(counts) <= MOST_LABELS else {}
-    findings, totals = [], _rows_of_unknowns(problem, counts, column)
+    findings, totals, instrument = [], dict[str, int](), problem.instrument
+    for key in (key for key, unknown in instrument.unknowns.items() if unknown.per == column):
+        shared = Counter[str]()  # the rows that determine a label's unknowns, with those that share them, as a step's
+        for name, count in counts.items():
+            shared[instrument.instance(key, name)] += count
+        for name in counts:
+            totals[name] = min(totals.get(name, shared[name]), shared[name])
     for name, rows in labels.rows().items():
         if name in declared:
             continue
@@ -323,33 +321,12 @@ def _slip(one: str, two: str, *, both_common: bool) -> bool:
     return short[start:] == long[start + 1 :] and long[start].isalpha()
 
 
-def _rows_of_unknowns(problem: Problem, counts: dict[str, int], column: str) -> dict[str, int]:
-    """Number of rows that determine each label's unknowns, with those of labels that share them, such as a step's."""
-    instrument, fewest = problem.instrument, dict[str, int]()
-    for key in (key for key, unknown in instrument.unknowns.items() if unknown.per == column):
-        totals = Counter[str]()
-        for name, count in counts.items():
-            totals[instrument.instance(key, name)] += count
-        for name in counts:
-            fewest[name] = min(fewest.get(name, totals[name]), totals[name])
-    return fewest
-
-
-SMALLEST_TILT = 5.0
-"""Degrees between plunger and normal below which touches count as normal; 10 or more remove the blindness."""
-SMALLEST_FACE = 0.05  # fraction of the arm's reach that touches of a face should span
-SMALLEST_ANGLE = 20.0  # degrees between faces below which they count as parallel
-ROWS_PER_UNKNOWN = 1.5  # fewer leave little to tell the noise and single bad rows by; as a plan takes at least
-CLEARLY = 4.0  # times as far or as near as it might be by chance
-NO_LENGTH = "no length was measured"
-
-
-def setup_findings(bound: BoundProblem) -> list[Finding]:
+def setup_findings(bound: BoundProblem) -> Iterator[Finding]:
     """Set-ups that leave the arm blind or weak, however good the readings."""
     probe, samples = bound.problem.instrument.probe, bound.block.samples
-    findings = enough_rows(bound)
+    yield from enough_rows(bound)
     if probe is None:
-        return findings
+        return
     sight, faces = nominal_sight(bound.problem, 0, samples), samples.faces(probe.label)
     assert sight.plungers is not None
     reach = float(np.median(np.linalg.norm(sight.tips, axis=1)))
@@ -369,12 +346,24 @@ def setup_findings(bound: BoundProblem) -> list[Finding]:
             f"parameters that move the tip stay unseen"
         )
         fix = "Tilt the tool by 10 degrees or more, in several directions"
-        findings.append(Finding("warning", "tilt too small", cause, fix))
+        yield Finding("warning", "tilt too small", cause, fix)
     if small:
         cause = f"the touches cover a small region for an arm that reaches {reach:.0f} mm: {', '.join(small)}"
         fix = "Use larger faces, or spread the touches over them"
-        findings.append(Finding("warning", "faces too small", cause, fix))
-    return findings + _directions(bound, probe, np.array(normals))
+        yield Finding("warning", "faces too small", cause, fix)
+    angles = np.degrees(np.arccos(np.clip(np.abs(normals @ np.transpose(normals)), 0, 1)))
+    same = "there is only one face"
+    if len(normals) > 1:
+        same = f"all {len(normals)} faces look the same way, within {max(angles.max(), 1):.0f} degrees"
+    if float(angles.max()) < SMALLEST_ANGLE and not probe.knows_angles:
+        fix = "Add a face at an angle; three at right angles are best"
+        yield Finding("warning", "faces nearly parallel", same, fix)
+    # on faces of certified angles a sliding joint is a ruler
+    if not probe.steps and not (probe.knows_angles and not bound.problem.robot.revolute.all()):
+        cause = "faces determine angles; the size of the arm comes from the prior"
+        cause += " and a few millimetres of dial travel" if probe.column is not None else ""
+        fix = "Measure one known length, such as a gauge block's step, declared as a Step in the problem"
+        yield Finding("remark", NO_LENGTH, cause, fix)
 
 
 def enough_rows(bound: BoundProblem) -> list[Finding]:
@@ -387,31 +376,7 @@ def enough_rows(bound: BoundProblem) -> list[Finding]:
     return [Finding("error" if ratio < 1 else "warning", "few rows", f"{bound.rows} rows for {unknowns} unknowns", fix)]
 
 
-def _directions(bound: BoundProblem, probe: Probe, normals: Array) -> list[Finding]:
-    findings = []
-    same = "there is only one face"
-    angles = np.degrees(np.arccos(np.clip(np.abs(normals @ normals.T), 0, 1)))
-    if len(normals) > 1:
-        same = f"all {len(normals)} faces look the same way, within {max(angles.max(), 1):.0f} degrees"
-    if float(angles.max()) < SMALLEST_ANGLE and not probe.knows_angles:
-        fix = "Add a face at an angle; three at right angles are best"
-        findings.append(Finding("warning", "faces nearly parallel", same, fix))
-    # on faces of certified angles a sliding joint is a ruler
-    ruler = probe.knows_angles and not bound.problem.robot.revolute.all()
-    if not probe.steps and not ruler:
-        findings.append(
-            Finding(
-                "remark",
-                NO_LENGTH,
-                "faces determine angles; the size of the arm comes from the prior"
-                + (" and a few millimetres of dial travel" if probe.column is not None else ""),
-                "Measure one known length, such as a gauge block's step, declared as a Step in the problem",
-            )
-        )
-    return findings
-
-
-def upside_down(bound: BoundProblem, scatter: float) -> list[Finding]:
+def upside_down(bound: BoundProblem, scatter: float) -> Iterator[Finding]:
     """An error where a step lies as far below the face it stands on as it should stand out, seen from the tool.
 
     A fit cannot tell: with the plane's normal the other way round, all rows fit. scatter: distance (mm) that prior
@@ -419,10 +384,9 @@ def upside_down(bound: BoundProblem, scatter: float) -> list[Finding]:
     """
     probe, samples, instrument = bound.problem.instrument.probe, bound.block.samples, bound.problem.instrument
     if probe is None or not probe.steps:
-        return []
+        return
     rows, sight = samples.faces(probe.label).rows(), nominal_sight(bound.problem, 0, samples)
     assert sight.plungers is not None
-    found = []
     for step, height in instrument.known_columns["height"].items():
         on = instrument.instance("plane", step)
         if step not in rows or on not in rows or abs(height) < CLEARLY * scatter:
@@ -433,13 +397,7 @@ def upside_down(bound: BoundProblem, scatter: float) -> list[Finding]:
         if plane.flat and abs(stands + height) < CLEARLY * scatter:
             cause = f"'{step}' should stand {height:g} mm out of '{on}' and stands {stands:.0f} mm out of it"
             fix = "Exchange the two labels in all rows, or correct the sign of the step's height"
-            found.append(Finding("error", "labels exchanged", cause, fix))
-    return found
-
-
-IN_METRES = 0.1, 20.0
-"""Extent (mm) of the flange's way over random postures that only an arm has whose lengths are metres."""
-POSTURES = 40
+            yield Finding("error", "labels exchanged", cause, fix)
 
 
 def in_metres(problem: Problem, samples: Samples) -> list[Finding]:
@@ -451,9 +409,6 @@ def in_metres(problem: Problem, samples: Samples) -> list[Finding]:
         return []
     cause = f"in any postures the flange stays within {figures(extent, 2)} mm, so the arm's lengths seem to be metres"
     return [Finding("error", "arm in metres", cause, "Write them, and what the pose function returns, in mm")]
-
-
-WRONG_SIGN = "wrong dial sign"
 
 
 def sign_before_fit(bound: BoundProblem) -> list[Finding]:

@@ -46,6 +46,8 @@ if TYPE_CHECKING:
     from casacal.calibration.earlier import RowsSince
 
 _LOG = logging.getLogger("casacal")
+TRIED = 100  # steps within which a fit of an arm ends, twenty times what it needs, unless nothing holds its unknowns
+UNSEEN = 1e-9  # singular value over the largest below which a direction is hidden by rounding
 
 
 def calibrate(
@@ -181,13 +183,29 @@ def _from_drawing(
     threads: int | None,
 ) -> tuple[BoundProblem, BoundProblem, tuple[Finding, ...]]:
     """Rows as they are fitted where the drawing is all that is known, under the geometry alone, and what is wrong."""
+
+    def with_noise(bare: BoundProblem) -> BoundProblem:
+        scale = found_noise(bare, loss).scale if find_noise else {}
+        return bare.with_noise(scale) if scale else bare
+
     bare, aside = _bound(problem, rows, set_aside, backend, threads)
-    fit = bare = _with_found_noise(bare, loss) if find_noise else bare
+    fit = bare = with_noise(bare)
     if kit:
         fit = with_effects(bare, problem, find_noise=find_noise)
-        if set_aside and fit is not bare:
-            return _second_look(problem, fit, bare, aside, rows, find_noise, threads)
-    return fit, bare, aside
+    if fit is bare or not set_aside:
+        return fit, bare, aside
+    # geometry alone takes smooth errors for noise, in which single rows hide, and calls rows gross that err together:
+    # so a second look, with effects and noise known
+    try:
+        whole = _same(rows, fit.measured)
+        bad, found = gross(fit if whole else fit.on(*rows.sets), drawn=bare if whole else bare.on(*rows.sets))
+    except ProblemError:  # a face all of whose rows were set aside
+        return fit, bare, aside
+    kept = rows.take(np.flatnonzero(~bad)) if bad.any() else rows
+    if _same(kept, bare.measured):
+        return fit, bare, aside
+    bare = with_noise(bind(bare.problem, *kept.sets, backend=bare.backend, threads=threads))
+    return with_effects(bare, problem, find_noise=find_noise), bare, found
 
 
 def _opened(
@@ -227,7 +245,11 @@ def _check_words(noise: str, outliers: str, discrepancy: str) -> None:
 def _bound(
     problem: Problem, rows: Measurements, aside: bool, backend: str | None, threads: int | None
 ) -> tuple[BoundProblem, tuple[Finding, ...]]:
-    """Rows under the geometry alone, and what is wrong with those that were set aside, where that is wanted."""
+    """Rows under the geometry alone, and what is wrong with those that were set aside, where that is wanted.
+
+    Raises SamplesError for too few rows, ProblemError where a fit wanders along directions that neither rows nor priors
+    hold, as every fit would.
+    """
     try:
         bare = bind(problem.without_terms, *rows.sets, backend=backend, threads=threads)
     except CasacalError as error:
@@ -238,66 +260,22 @@ def _bound(
         least = -(-bare.unknowns * len(bare.measured) // bare.rows)
         fix = f"Take at least {least} samples, better twice as many, hold fewer out, or hold parameters with --fix"
         raise SamplesError(bare.measured.file, f"{bare.rows} rows are fitted for {bare.unknowns} unknowns", fix)
-    _refuse_unheld(bare)
+    flat = {j: name for name, _, _, j in bare.parameters() if j is not None and not math.isfinite(bare.prior_std[j])}
+    if flat and lm(bare, max_steps=TRIED).steps >= TRIED:
+        from scipy.linalg import qr
+
+        sizes, right = right_directions(np.vstack([bare.compact_jacobian(bare.x0), bare.prior_rows]) * bare.start_std)
+        lost = right[sizes <= UNSEEN * sizes[0]]
+        _, kept, order = qr(lost[:, list(flat)], pivoting=True)  # one name a direction: holding these is enough
+        names = [list(flat.values())[k] for k in order[: int((np.abs(np.diagonal(kept)) > UNSEEN).sum())]]
+        if names:
+            many = counted(len(names), "combination")
+            what = f"Neither the samples nor a prior hold {many} of parameters, so no fit ends"
+            raise ProblemError(what, f"Give a prior to {listed(names)} (--prior {names[0]}=STD), or hold them (--fix)")
     bad, found = gross(bare) if aside else (np.zeros(0, dtype=bool), ())
     if bad.any():
         bare = bind(bare.problem, *rows.take(np.flatnonzero(~bad)).sets, backend=backend, threads=threads)
     return bare, found
-
-
-TRIED = 100  # steps within which a fit of an arm ends, twenty times what it needs, unless nothing holds its unknowns
-UNSEEN = 1e-9  # singular value over the largest below which a direction is hidden by rounding
-
-
-def _refuse_unheld(bare: BoundProblem) -> None:
-    """Raise ProblemError where a fit wanders along directions that neither rows nor priors hold, as every fit would."""
-    from scipy.linalg import qr
-
-    flat = {j: name for name, _, _, j in bare.parameters() if j is not None and not math.isfinite(bare.prior_std[j])}
-    if not flat or lm(bare, max_steps=TRIED).steps < TRIED:
-        return
-    sizes, right = right_directions(np.vstack([bare.compact_jacobian(bare.x0), bare.prior_rows]) * bare.start_std)
-    lost = right[sizes <= UNSEEN * sizes[0]]
-    _, kept, order = qr(
-        lost[:, list(flat)], pivoting=True
-    )  # one name for each direction, so that holding these is enough
-    names = [list(flat.values())[k] for k in order[: int((np.abs(np.diagonal(kept)) > UNSEEN).sum())]]
-    if names:
-        what = (
-            f"Neither the samples nor a prior hold {counted(len(names), 'combination')} of parameters, so no fit ends"
-        )
-        raise ProblemError(what, f"Give a prior to {listed(names)} (--prior {names[0]}=STD), or hold them (--fix)")
-
-
-def _second_look(
-    problem: Problem,
-    fit: BoundProblem,
-    bare: BoundProblem,
-    aside: tuple[Finding, ...],
-    rows: Measurements,
-    find_noise: bool,
-    threads: int | None,
-) -> tuple[BoundProblem, BoundProblem, tuple[Finding, ...]]:
-    """Fit, geometry and findings with the rows that are gross once effects and noise are known set aside.
-
-    Geometry alone takes smooth errors for noise, in which single rows hide, and calls rows gross that err together.
-    """
-    try:
-        whole = _same(rows, fit.measured)
-        bad, found = gross(fit if whole else fit.on(*rows.sets), drawn=bare if whole else bare.on(*rows.sets))
-    except ProblemError:  # a face all of whose rows were set aside
-        return fit, bare, aside
-    kept = rows.take(np.flatnonzero(~bad)) if bad.any() else rows
-    if _same(kept, bare.measured):
-        return fit, bare, aside
-    bare = bind(bare.problem, *kept.sets, backend=bare.backend, threads=threads)
-    bare = _with_found_noise(bare, None) if find_noise else bare
-    return with_effects(bare, problem, find_noise=find_noise), bare, found
-
-
-def _with_found_noise(bare: BoundProblem, loss: Loss | None) -> BoundProblem:
-    scale = found_noise(bare, loss).scale
-    return bare.with_noise(scale) if scale else bare
 
 
 def _same(one: Measurements, two: Measurements) -> bool:

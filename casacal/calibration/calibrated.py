@@ -1,38 +1,46 @@
-"""A calibration as one wants it at a prompt: figures as attributes, tables as frames, pictures on axes."""
+"""A calibration as one wants it at a prompt: figures as attributes, tables as frames, pictures on axes; files of it."""
 
 from __future__ import annotations
 
 import html
 import math
 from dataclasses import fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.motion import Motion
-from casacal.calibration.pictures import plot_convergence, plot_residuals, plot_tip_std
-from casacal.calibration.result_json import calibration_document, found_part, write_calibration
-from casacal.calibration.result_parts import parameter_rows
+from casacal.calibration.motion import Motion, Sensitivity
+from casacal.calibration.result_json import calibration_document, found_part, parameter_rows
 from casacal.calibration.saved import AsArm, parameter_table
-from casacal.calibration.sensitivity import Sensitivity
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import WithVerdict
 from casacal.deployment.arm import CalibratedArm
 from casacal.effects.selection import DialError, LeftOut
 from casacal.effects.trusted import Leverage
 from casacal.errors import CasacalError
-from casacal.files import jsonable, write_text
+from casacal.files import MADE, jsonable, place_whole, together, write_json, write_text
 from casacal.planning.cures import Cure
+from casacal.public import __version__
 from casacal.uncertainty.identifiability import Identifiability
-from casacal.uncertainty.moves import PriorMoves
+from casacal.uncertainty.tip_error import tip_stds, without_rigid
 from casacal.values import Array, Box
 from casacal.wording import figures
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+FILES = ("report.html", "result.json", "parameters.csv", "residuals.png", "convergence.png")
+"""Files that a calibration writes, most read first; result.json is placed last: where it stands, all stand."""
+FILTER_POINTS = 60  # rows at which a filter's objective is drawn
+FLOOR = 1e-9  # added so that the lowest value itself can stand on a logarithmic axis; below rounding
+NAMED = 24  # faces named under a picture; of more, some are
+LINED = 200  # faces with a line between them
+LONGEST = 24  # characters of a label in a picture
+BEFORE, AFTER, HELD = "#b8b8b8", "#1f6fb2", "#d1622b"
 
 
 class Calibrated(WithVerdict, AsArm):
@@ -96,16 +104,6 @@ class Calibrated(WithVerdict, AsArm):
     def cures(self) -> tuple[Cure, ...]:
         """Next steps, best first, with the tip error after each; empty where the verdict denies the result."""
         return () if self.denied else self.unjudged.cures
-
-    @property
-    def advice(self) -> tuple[str, ...]:
-        """Cure of each null, then each weak direction, in the words of `cures`; none needed if it moves no tip."""
-        return self.unjudged.advice
-
-    @property
-    def prior_moves(self) -> PriorMoves:
-        """How far arm and tool moved beyond what their priors allow, all together."""
-        return self.unjudged.prior_moves
 
     @property
     def identifiability(self) -> Identifiability:
@@ -185,16 +183,47 @@ class Calibrated(WithVerdict, AsArm):
         """All that result.json holds, in JSON's own types."""
         return dict(jsonable(calibration_document(self)))
 
-    def save(self, folder: str | Path) -> list[Path]:
+    def save(self, folder: str | Path, *, command: str | None = None, box: Box | None = None) -> list[Path]:
         """Write report.html, result.json, parameters.csv, pictures and the problem itself into a folder.
 
-        `casacal.load(folder)` reads it back, here or elsewhere.
+        `casacal.load(folder)` reads it back, here or elsewhere. For the report: `command`, the command line that
+        reproduces it, and `box`, where the arm will work, ranges in mm.
 
         Returns:
             The paths of the files that were written.
 
         """
-        return write_calibration(self, Path(folder))
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        from casacal.calibration.report import report_page
+
+        folder = Path(folder)
+        document = calibration_document(self, folder=folder)
+        with together(folder, [*(name for name in FILES if name != "result.json"), "result.json"]) as place:
+            write_text(place / "report.html", report_page(self, document, command=command, box=box))
+            write_json(place / "result.json", document)
+            write_text(place / "parameters.csv", self._parameters_csv())
+            for name, size, draw in (
+                ("residuals", (10.0, 4.0), self.plot_residuals),
+                ("convergence", (6.0, 4.0), self.plot_convergence),
+            ):
+                picture = Figure(figsize=size, layout="constrained")
+                FigureCanvasAgg(picture)
+                draw(picture.subplots())
+                # no date in the file: the same input gives the same bytes
+                write = partial(picture.savefig, dpi=150, metadata={"Software": f"casacal {__version__}"})
+                place_whole(place / f"{name}.png", write)
+            made = [name for name in FILES if (place / name).exists()]
+        return [folder / name for name in made]
+
+    def _parameters_csv(self) -> str:
+        """Parameters as CSV, below who wrote it and a verdict that is not simply calibrated."""
+        said = "" if self.verdict.level == "calibrated" else f". {self.verdict.words}"
+        table = self.parameters.reset_index()
+        for name, form in (("nominal", "{:.12g}"), ("estimate", "{:.12g}"), ("change", "{:.6g}"), ("std", "{:.6g}")):
+            table[name] = ["" if math.isnan(value) else form.format(value) for value in table[name]]
+        return f"# {MADE}{said}\n{table.to_csv(index=False, lineterminator=chr(10))}"
 
     def report(self, path: str | Path, *, box: Box | None = None) -> Path:
         """Write the report, one page of HTML; `box` is where the arm will work, ranges in mm.
@@ -213,27 +242,98 @@ class Calibrated(WithVerdict, AsArm):
         return summary(self, self.source.name)
 
     def plot_residuals(self, ax: Any = None) -> Any:
-        """Draw distances from the planes, mm, before and after, on an axes, a new one unless given.
+        """Draw distances of the tips from their planes, mm, before and after, row by row; on a new axes by default.
 
         Returns:
             The axes.
 
         """
-        return self._drawn(plot_residuals, ax, (10.0, 4.0))
+        axes = _axes(ax, (10.0, 4.0))
+        offset, ticks, ends = 0, [], []
+        parts = [("", self.fit, (self.before.x, self.used_x), AFTER)]
+        if self.heldout is not None:
+            parts.append((" (held out)", self.heldout, self.heldout_x, HELD))
+        for suffix, bound, pair, colour in parts:
+            faces = bound.faces
+            before, after = (bound.plain_residual(x) for x in pair)
+            order, places = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
+            for label, rows in faces.rows().items():
+                own = bound.residuals_of(rows)
+                count = own.size
+                order.append(own)
+                places.append(offset + np.arange(count))
+                ticks.append((offset + count / 2, f"{_short(label)}{suffix}"))
+                offset += count + 4
+                ends.append(offset - 2.5)
+            here, rows = np.concatenate(places), np.concatenate(order)
+            axes.plot(here, before[rows], "o", ms=3, mfc="none", mec=BEFORE, zorder=1)
+            axes.plot(here, after[rows], "o", ms=3, color=colour, zorder=2)
+        if len(ends) <= LINED:
+            axes.vlines(ends, 0, 1, colors="0.9", linewidth=0.8, zorder=0, transform=axes.get_xaxis_transform())
+        axes.axhline(0, color="0.5", lw=0.8, zorder=0)
+        ticks = [ticks[k] for k in np.unique(np.linspace(0, len(ticks) - 1, NAMED).astype(int))]
+        axes.set_xticks(
+            [place for place, _ in ticks], [label for _, label in ticks], rotation=20, ha="right", fontsize=8
+        )
+        said = self.fit.problem.words
+        axes.set_ylabel(f"{said.residual}, {said.unit}")
+        axes.plot([], [], "o", ms=4, mfc="none", mec=BEFORE, label=f"before: {said.before}")
+        axes.plot([], [], "o", ms=4, color=AFTER, label="after, fitted rows")
+        if self.heldout is not None:
+            axes.plot([], [], "o", ms=4, color=HELD, label="after, held-out rows")
+        axes.legend(fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0, 1), ncols=3)
+        axes.set_title("Residuals, which are not accuracy", fontsize=10, loc="right")
+        return axes
 
     def plot_convergence(self, ax: Any = None) -> Any:
-        """Draw the objective step by step; axes as for `plot_residuals`."""
-        return self._drawn(plot_convergence, ax, (6.0, 4.0))
+        """Draw the objective above its lowest value, step by step; a filter's pass over the rows stands before step 0.
+
+        ax, what is returned: as for `plot_residuals`.
+        """
+        axes = _axes(ax, (6.0, 4.0))
+        trace, problem = self.result.trace, self.fit
+        curves: list[tuple[Any, Any, str, str]] = []
+        path = trace.get("filter_x", trace.get("x"))
+        if path is not None:
+            rows = np.unique(np.linspace(0, len(path) - 1, FILTER_POINTS).astype(int))
+            costs = np.array([problem.cost(path[row]) for row in rows])
+            curves.append((rows / max(len(path) - 1, 1) - 1, costs, "-", "filter, one pass over the rows"))
+        if "cost" in trace:
+            curves.append((np.arange(trace["cost"].size), trace["cost"], "o-", self.method))
+        if not curves:
+            axes.set_title("Nothing was estimated, so nothing converged", fontsize=10)
+            axes.set_axis_off()
+            return axes
+        lowest = min(float(costs.min()) for _, costs, _, _ in curves)
+        for (places, costs, style, label), colour in zip(curves, (HELD, AFTER)[-len(curves) :], strict=True):
+            axes.plot(places, costs - lowest + FLOOR, style, ms=4, color=colour, label=label)
+        axes.set_yscale("log")
+        axes.set_xlabel("step")
+        axes.set_ylabel("objective above its lowest value")
+        axes.legend(fontsize=8, frameon=False)
+        axes.set_title(f"Convergence of {self.method}", fontsize=10)
+        return axes
 
     def plot_tip_std(self, ax: Any = None) -> Any:
-        """Draw how uncertain the tip is over the workspace; axes as for `plot_residuals`.
+        """Draw how uncertain the tip is (mm, all axes, apart from the position of the base) over radius and height.
 
-        Raises CasacalError where the verdict is not to use this result.
+        ax, what is returned: as for `plot_residuals`. Raises CasacalError where the verdict is not to use this result.
         """
         if self.denied:
             what = f"{self.verdict.words.removesuffix('.')}; so nothing is known of how uncertain the tip is"
             raise CasacalError(what, "Mend what the verdict names, and calibrate again")
-        return self._drawn(plot_tip_std, ax, (6.0, 5.0))
+        axes = _axes(ax, (6.0, 5.0))
+        _, tips, slopes = self.workspace
+        spread = np.linalg.norm(tip_stds(self.motion.covariance, without_rigid(slopes, tips), self.motion.off), axis=1)
+        radius = np.hypot(tips[:, 0], tips[:, 1])
+        order = np.argsort(spread)  # the worst on top
+        shown = axes.scatter(radius[order], tips[order, 2], c=spread[order], s=18, cmap="viridis")
+        axes.figure.colorbar(shown, ax=axes, label="standard deviation of the tip, mm")
+        axes.set_xlabel("distance from the first axis, mm")
+        axes.set_ylabel("height, mm")
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.set_title("How uncertain the tip is, apart from the position of the base", fontsize=10)
+        return axes
 
     def __repr__(self) -> str:
         (before, now), level = self.tip_std, self.verdict.level
@@ -245,10 +345,16 @@ class Calibrated(WithVerdict, AsArm):
         table = self.parameters.to_html(float_format=lambda value: f"{value:.5g}")
         return f"<p>{html.escape(repr(self).strip('<>'))}. {html.escape(self.message)}</p>{table}"
 
-    def _drawn(self, draw: Any, ax: Any, size: tuple[float, float]) -> Any:
-        if ax is None:
-            import matplotlib.pyplot as plt
 
-            _, ax = plt.subplots(figsize=size, layout="constrained")
-        draw(self, ax)
-        return ax
+def _short(label: str) -> str:
+    """Label that leaves room for the picture, and of which Matplotlib makes no formula."""
+    return (label if len(label) <= LONGEST else f"{label[: LONGEST - 1]}…").replace("$", r"\$")
+
+
+def _axes(ax: Any, size: tuple[float, float]) -> Any:
+    """The axes to draw on: a new one where none is given."""
+    if ax is None:
+        import matplotlib.pyplot as plt
+
+        _, ax = plt.subplots(figsize=size, layout="constrained")
+    return ax

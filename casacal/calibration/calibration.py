@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from casacal.calibration.agreement import disagreement, not_the_same
-from casacal.calibration.before_fit import labels_alike, outside, repeated, rounded, sign_before_fit
+from casacal.calibration.before_fit import outside, rounded, sign_before_fit
+from casacal.calibration.conventions import mirror_image
 from casacal.calibration.finding import Finding
 from casacal.calibration.inputs import Reference
-from casacal.calibration.mirror import mirror_image
-from casacal.calibration.motion import Motion, Tried, among, sees_the_tip, used_arm
+from casacal.calibration.motion import Motion, Sensitivity, Tried, among, sees_the_tip, sensitivity, used_arm
 from casacal.calibration.numbers import borne_out, priors_of, tool_elsewhere_at, wrong_number, wrong_scale
-from casacal.calibration.sensitivity import Sensitivity, sensitivity
+from casacal.calibration.set_aside import disagreement, not_the_same
 from casacal.data.repeats import without_copies
 from casacal.data.samples import Measurements, Samples
 from casacal.deployment.result import MirrorImage
@@ -76,25 +74,6 @@ Figures: TypeAlias = dict[str, float]
 Metrics: TypeAlias = dict[str, dict[str, Figures | None]]
 """Keys "before" and "after", then "fit" and "heldout"; None where no row is held out."""
 
-Pair: TypeAlias = tuple[Array, Array]  # unknowns (n,) before and after
-
-
-def metrics_of(
-    fit: BoundProblem, heldout: BoundProblem | None, xs: Pair, held: Pair, *, part: str | None = None
-) -> Metrics:
-    """Residual figures in the instrument's unit; with `part`, of one of `parts_of` in its own unit."""
-
-    def figures(bound: BoundProblem, x: Array) -> Figures | None:
-        if part is None:
-            return residual_figures(bound.plain_residual(x)[bound.leading])
-        rows = bound.noise_labels.rows().get(part)
-        return None if rows is None or not rows.size else residual_figures(bound.plain_residual(x)[rows])
-
-    return {
-        when: {"fit": figures(fit, x), "heldout": None if heldout is None else figures(heldout, there)}
-        for when, x, there in zip(("before", "after"), xs, held, strict=True)
-    }
-
 
 def parts_of(fit: BoundProblem) -> dict[str, str]:
     """The unit of each of several instruments and of each block of a residual, by the name of its noise; else none."""
@@ -107,15 +86,6 @@ def parts_of(fit: BoundProblem) -> dict[str, str]:
         blocks = {f"{before}{block.name}": block.unit for block in instrument.blocks}
         found |= blocks or {name: instrument.words.unit}
     return found
-
-
-def more_than_stated(fit: BoundProblem, most: float) -> str:
-    """A sentence on which instruments, or blocks of a residual, err more than was stated, and which do not."""
-    factors = {name: fit.scale[name] for name in parts_of(fit) if name in fit.scale}
-    more = [f"{name} {factor:.2g}" for name, factor in factors.items() if factor > most]
-    right = [name for name, factor in factors.items() if factor <= most]
-    others = f", {' and '.join(right)} as stated" if right else ""
-    return f"Times the stated noise: {', '.join(more)}{others}. " if more else ""
 
 
 @dataclass(frozen=True)
@@ -198,16 +168,6 @@ class Calibration(Value):
         return self.fit if self.geometry is None else self.geometry
 
     @cached_property
-    def weighed(self) -> BoundProblem:
-        """`bare` with the noise of the fit with effects: the information of single touches about the geometry."""
-        return self.bare if self.bare is self.fit else self.bare.with_noise(self.fit.scale)
-
-    @property
-    def bare_x(self) -> Array:
-        """Estimate of the unknowns of `bare`."""
-        return np.asarray(self.result.x[~np.array(self.fit.beside, dtype=bool)])
-
-    @cached_property
     def doubted(self) -> BoundProblem:
         """`bare` with the constants that the instruments take for exact as unknowns.
 
@@ -244,19 +204,6 @@ class Calibration(Value):
     def copies(self) -> int:
         """Rows that say again what another says, copies and lines of one standstill: neither fitted nor held out."""
         return sum(len(some) - len(without_copies(some)) for some in Measurements.of(self.samples).sets)
-
-    @cached_property
-    def repeated(self) -> tuple[Finding, ...]:
-        """Warnings of copied rows, with the instrument's name where there are several."""
-        measured = Measurements.of(self.samples)
-        pairs = zip(measured.names, measured.sets, strict=True)
-        found = ((name, finding) for name, some in pairs for finding in repeated(some) if finding.severity == "warning")
-        return tuple(replace(finding, instrument=name) for name, finding in found)
-
-    @cached_property
-    def labels_alike(self) -> tuple[Finding, ...]:
-        """Warnings of labels that may be slips of others, such as Floor beside floor."""
-        return labels_alike(self.bare.problem, Measurements.of(self.samples))
 
     @property
     def noise_words(self) -> str:
@@ -310,13 +257,27 @@ class Calibration(Value):
     @cached_property
     def metrics(self) -> Metrics:
         """Plane residuals in mm, before and after, on fitted and held-out rows; not accuracy."""
-        return metrics_of(self.fit, self.heldout, (self.before.x, self.used_x), self.heldout_x)
+        return self._metrics(None)
 
     @cached_property
     def metrics_by_instrument(self) -> dict[str, Metrics]:
         """`metrics` by instrument and by block of a residual, each in its unit; empty for a single plain instrument."""
-        pairs = (self.before.x, self.used_x), self.heldout_x
-        return {part: metrics_of(self.fit, self.heldout, *pairs, part=part) for part in parts_of(self.fit)}
+        return {part: self._metrics(part) for part in parts_of(self.fit)}
+
+    def _metrics(self, part: str | None) -> Metrics:
+        """Residual figures in the instrument's unit, or of one of `parts_of` in its own unit."""
+
+        def figures(bound: BoundProblem, x: Array) -> Figures | None:
+            rows = bound.leading if part is None else bound.noise_labels.rows().get(part, np.zeros(0, dtype=np.intp))
+            return residual_figures(bound.plain_residual(x)[rows]) if part is None or rows.size else None
+
+        return {
+            when: {
+                "fit": figures(self.fit, x),
+                "heldout": None if self.heldout is None else figures(self.heldout, held),
+            }
+            for when, x, held in zip(("before", "after"), (self.before.x, self.used_x), self.heldout_x, strict=True)
+        }
 
     @cached_property
     def down_weighted(self) -> tuple[int | str, ...]:
@@ -350,10 +311,13 @@ class Calibration(Value):
     def plain_errors(self) -> tuple[Finding, ...]:
         """Errors that need few fits or none: travel, limits, rounding, the dial's sign, a number of the arm."""
         found = list[Finding]()
-        for alone in self._each_bare():
+        for each in each_alone(self.bare.problem, self.bare.samples):
+            try:
+                alone = bind(each.problem, each.samples) if each.name else self.bare
+            except CasacalError:  # it cannot be bound by itself
+                continue
             findings = [*outside(alone.problem, alone.samples[0]), *rounded(alone), *sign_before_fit(alone)]
-            name = alone.problem.names[0] if len(self.fit.samples) > 1 else ""
-            found += [replace(each, instrument=name) for each in findings]
+            found += [replace(one, instrument=each.name) for one in findings]
         if self.result.loss is None and self.earlier is None:
             found += wrong_number(self.doubted, alone=self.fit is self.bare)
         return tuple(each for each in found if each.severity == "error")
@@ -373,15 +337,6 @@ class Calibration(Value):
         return frozenset(
             name for name, *_ in priors_of(self.bare.problem) if name in named and borne_out(self.bare, name)
         )
-
-    def _each_bare(self) -> Iterator[BoundProblem]:
-        """The fitted rows of each instrument by itself, under the geometry alone; those that can be bound so."""
-        if len(self.fit.samples) == 1:
-            yield self.bare
-            return
-        for alone in each_alone(self.bare.problem, self.bare.samples):
-            with contextlib.suppress(CasacalError):
-                yield bind(alone.problem, alone.samples)
 
     @property
     def unjudged(self) -> Calibration:
@@ -512,14 +467,16 @@ class Calibration(Value):
     @cached_property
     def advice(self) -> tuple[str, ...]:
         """Cure of each null, then each weak direction, in the words of `cures`; none needed if it moves no tip."""
-        found = self.identifiability
+        found = self.unjudged.identifiability
         directions: tuple[NullDirection | WeakDirection, ...] = (*found.null, *found.weak)
         if all(direction.tip_mm < HARMLESS for direction in directions):
             return (NOT_NEEDED,) * len(directions)
-        geometry, x = arm_alone(self.weighed, self.bare_x)
+        # the information of single touches about the geometry, with the noise of the fit with effects
+        weighed = self.bare if self.bare is self.fit else self.bare.with_noise(self.fit.scale)
+        geometry, x = arm_alone(weighed, self.result.x[~np.array(self.fit.beside, dtype=bool)])
         now = geometry.posterior(geometry.information(x), x)
         return tuple(
-            NOT_NEEDED if direction.tip_mm < HARMLESS else cure_for(geometry, now, self.cures, direction)
+            NOT_NEEDED if direction.tip_mm < HARMLESS else cure_for(geometry, now, self.unjudged.cures, direction)
             for direction in directions
         )
 
@@ -549,7 +506,7 @@ class Calibration(Value):
     @cached_property
     def prior_moves(self) -> PriorMoves:
         """How far arm and tool moved beyond what their priors allow, all together."""
-        return prior_moves(self.seen, self.seen_x, self.covariance)
+        return prior_moves(self.seen, self.seen_x, self.unjudged.covariance)
 
     @cached_property
     def instrument_findings(self) -> tuple[Finding, ...]:

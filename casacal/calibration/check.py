@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from casacal.calibration.agreement import disagreement, not_the_same
 from casacal.calibration.before_fit import (
     NO_LENGTH,
     OUTSIDE,
     WRONG_SIGN,
-    absent_labels,
     enough_rows,
     in_metres,
-    lost_steps,
+    lost_labels,
     lost_targets,
     odd_labels,
     outside,
@@ -26,13 +23,20 @@ from casacal.calibration.before_fit import (
     sign_before_fit,
     upside_down,
 )
+from casacal.calibration.conventions import CONVENTIONS, mirror_image
 from casacal.calibration.faults import ALIKE, EXPLAINED, MOVED, SUSPICIOUS, MisfitCause, cause_of_rows, explained, flips
 from casacal.calibration.finding import Finding, misfit, quick_fit, size_of
 from casacal.calibration.midway import changed_midway, labels_exchanged
-from casacal.calibration.mirror import mirror_image
 from casacal.calibration.numbers import tool_elsewhere_at, tool_keys, without_its_likes, wrong_number, wrong_scale
-from casacal.calibration.patterns import CONVENTIONS
-from casacal.calibration.set_aside import gross, off_their_face, robust_fit, single_rows, studentised_outliers
+from casacal.calibration.set_aside import (
+    disagreement,
+    gross,
+    not_the_same,
+    off_their_face,
+    robust_fit,
+    single_rows,
+    studentised_outliers,
+)
 from casacal.data.repeats import without_copies
 from casacal.data.samples import Measurements, Samples
 from casacal.effects.selection import dial_errors, effect_sizes_of, with_effects
@@ -44,7 +48,7 @@ from casacal.model.problem import Problem
 from casacal.uncertainty.figures import noise_interval
 from casacal.uncertainty.moves import prior_scatter
 from casacal.uncertainty.noise import found_noise
-from casacal.values import Array, Index
+from casacal.values import Index
 from casacal.wording import figures, listed, sized, times
 
 COUNTED = "Calibrate anyway: the kit of effects accounts for this"
@@ -63,6 +67,19 @@ FIXES = {
 }
 
 OTHERWISE = "Look for its cause, or declare it as an effect of the problem"
+APART = 1.5
+"""Times the misfit of the instrument that fits worst alone, beyond which all together contradict one another."""
+MOST_ROWS = 600  # rows used to look for systematic faults; more add time, not insight
+OF_A_FACE = 12  # rows of a face, where faces are many, that tell of systematic faults
+SPREAD = 20_000  # rows that tell of the set-up and of what the prior explains; more add memory, not insight
+STUCK = 1e-9  # rad or mm within which a joint does not move
+MOST_STRAY = 0.1  # part of the rows beyond which those far off their face are no single rows if the others do not fit
+OF_TWO = 3.0
+"""Times what prior errors explain by which the drawn arm must miss before two mistakes at once are looked for."""
+ORDER = {"error": 0, "warning": 1, "remark": 2}
+UNBOUND = "cannot be bound"
+OF_ALL = ("few rows", NO_LENGTH)
+"""Findings that concern all instruments together: what one cannot observe, another may."""
 
 
 def effect_findings(problem: Problem, samples: Samples) -> list[Finding]:
@@ -75,27 +92,20 @@ def effect_findings(problem: Problem, samples: Samples) -> list[Finding]:
     fit = lm(bound)
     if not fit.converged:
         return []
+    shown = list[tuple[str, str, str, str]]()  # key, words, evidence and size: of the dial, and of the arm
+    for error in dial_errors(bound, fit.x):
+        if error.shown:
+            size = f"{error.shown_size}, which moves the tip by {figures(error.tip_mm, 2)} mm RMS"
+            shown.append((error.key, error.words, f"p = {error.chance:.1g}", size))
+    for each in effect_sizes_of(bound, fit.x):
+        if each.shown and each.size > each.expected_size:
+            shown.append((each.key, each.words, f"log likelihood {each.gain:+.0f}", sized(each.size, each.unit)))
     found: dict[str, Finding] = {}
-    for key, words, evidence, size in _shown(bound, fit.x):
+    for key, words, evidence, size in shown:
         fix = FIXES.get(key, OTHERWISE)
         cause = f"the rows show it ({evidence}): its most likely size is {size}"
         found.setdefault(fix, Finding("warning", words, cause, fix))  # one that calls for the same says no more
     return list(found.values())
-
-
-def _shown(bound: BoundProblem, x: Array) -> Iterator[tuple[str, str, str, str]]:
-    """Key, words, evidence and size of what rows show at the minimum x (n,): of the dial, and of the arm."""
-    for error in dial_errors(bound, x):
-        if error.shown:
-            size = f"{error.shown_size}, which moves the tip by {figures(error.tip_mm, 2)} mm RMS"
-            yield error.key, error.words, f"p = {error.chance:.1g}", size
-    for each in effect_sizes_of(bound, x):
-        if each.shown and each.size > each.expected_size:
-            yield each.key, each.words, f"log likelihood {each.gain:+.0f}", sized(each.size, each.unit)
-
-
-APART = 1.5
-"""Times the misfit of the instrument that fits worst alone, beyond which all together contradict one another."""
 
 
 def contradictions(bound: BoundProblem, measured: Measurements) -> list[Finding]:
@@ -117,19 +127,6 @@ def contradictions(bound: BoundProblem, measured: Measurements) -> list[Finding]
         "same; too small a stated noise of one instrument can also be the cause"
     )
     return [Finding("error", "instruments contradict each other", cause, fix)]
-
-
-MOST_ROWS = 600  # rows used to look for systematic faults; more add time, not insight
-OF_A_FACE = 12  # rows of a face, where faces are many, that tell of systematic faults
-SPREAD = 20_000  # rows that tell of the set-up and of what the prior explains; more add memory, not insight
-
-STUCK = 1e-9  # rad or mm within which a joint does not move
-MOST_STRAY = 0.1  # part of the rows beyond which those far off their face are no single rows if the others do not fit
-
-OF_TWO = 3.0
-"""Times what prior errors explain by which the drawn arm must miss before two mistakes at once are looked for."""
-
-ORDER = {"error": 0, "warning": 1, "remark": 2}
 
 
 def check(problem: Problem, samples: Samples | Measurements, *, confirmed: bool = False) -> tuple[Finding, ...]:
@@ -164,7 +161,7 @@ def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding
     if lost and not len(samples):
         return lost
     findings = [*lost, *repeated(samples), *outside(problem, samples)]
-    findings += [*absent_labels(problem, samples), *odd_labels(problem, samples), *lost_steps(problem, samples)]
+    findings += [*lost_labels(problem, samples), *odd_labels(problem, samples)]
     samples = without_copies(samples)  # as calibrate takes them
     try:
         bound = bind(problem, samples)
@@ -281,7 +278,14 @@ def _unexplained(problem: Problem, samples: Samples, base: float, findings: list
         return Finding("error", "labels absent", cause, fix)
     if known:
         return Finding("remark", "misfit", f"{cause}, which {', '.join(known)} would explain", "Correct those first")
-    cause = f"{cause}, and no {listed(_tried(problem), 'or')} explains it"
+    instrument = problem.instrument
+    suspected = [name for name in instrument.columns if any(name in each.columns for each in instrument.suspects)]
+    untried = len(suspected) < len(instrument.columns)
+    tried = [f"wrong sign or unit{f' of {listed(suspected)}' if untried else ''}"] if suspected or not untried else []
+    tried += ["swapped joints", "coupling"]
+    tried += ["drift"] if instrument.probe is not None and instrument.probe.column is not None else []
+    tried += ["tool offset"] if tool_keys(problem) else []
+    cause = f"{cause}, and no {listed(tried, 'or')} explains it"
     fix = (
         "Check the robot's nominal values and the instrument's noise; compliance, backlash or a warped face can also "
         "be the cause"
@@ -295,18 +299,6 @@ def _unexplained(problem: Problem, samples: Samples, base: float, findings: list
             better = misfit(turned, _few_of_each_face(problem, samples)) < base
             fix = f"Try the dial's sign first (--set sign={-probe.sign}). {fix}. Do not delete rows" if better else fix
     return Finding("error", "misfit", cause, fix)
-
-
-def _tried(problem: Problem) -> list[str]:
-    """Words for the mistakes that were looked for: what an instrument suspects of its columns, and of the cell."""
-    instrument = problem.instrument
-    suspected = [name for name in instrument.columns if any(name in each.columns for each in instrument.suspects)]
-    untried = len(suspected) < len(instrument.columns)
-    tried = [f"wrong sign or unit{f' of {listed(suspected)}' if untried else ''}"] if suspected or not untried else []
-    tried += ["swapped joints", "coupling"]
-    if instrument.probe is not None and instrument.probe.column is not None:
-        tried.append("drift")
-    return [*tried, *(["tool offset"] if tool_keys(problem) else [])]
 
 
 def _invisible_flips(problem: Problem, samples: Samples, base: float) -> list[Finding]:
@@ -332,12 +324,6 @@ def _rows(bound: BoundProblem) -> list[Finding]:
     cause = f"the residuals are {ratio:.2f} times the stated noise (95 % {low:.2f} to {high:.2f})"
     fix = "Correct noise_std in the problem" if ratio < 1 else "Raise noise_std, or find what the model leaves out"
     return [Finding("warning", "noise", cause, fix)]
-
-
-UNBOUND = "cannot be bound"
-
-OF_ALL = ("few rows", NO_LENGTH)
-"""Findings that concern all instruments together: what one cannot observe, another may."""
 
 
 def _image(bound: BoundProblem) -> list[Finding]:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from casacal.calibration.finding import Finding
-from casacal.calibration.fresh import Fresh, Opened, fresh_among, fresh_rows, same_arm, with_memory
+from casacal.calibration.fresh import Opened, fresh_among, fresh_rows, same_arm, with_memory
 from casacal.calibration.motion import Tried
 from casacal.calibration.saved import AsArm, arm_from
 from casacal.data.samples import Samples
@@ -94,31 +94,17 @@ class RowsSince:
             name = fresh.gaussian.names[int(np.flatnonzero(fresh.lost)[0])]
             what = f"{case.arm.file}: it leaves '{name}' without bound, so it is no prior"
             raise CasacalError(what, "Calibrate again with old and new rows")
-        aside: tuple[Finding, ...] = ()
-        if set_aside:
-            fresh, aside = _without_gross(fresh)
-        fit = fresh.bound.with_known(fresh.gaussian)
+        bound, samples, aside = fresh.bound, fresh.bound.block.samples, tuple[Finding, ...]()
+        off = fresh.linear.gross() if set_aside else ()  # what neither the earlier result nor the other rows expect
+        if rows := sorted({int(k) // (bound.rows // len(samples)) for k in off if k < bound.rows}):
+            cause = "these rows are not where the earlier result and the other rows expect them"
+            fix = "Measure there again, or keep them with --keep-outliers"
+            aside = (Finding("error", "outliers", cause, fix, tuple(samples.lines[k] for k in rows)),)
+            bound = bound.take(np.setdiff1d(np.arange(len(samples)), rows))
+        fit = bound.with_known(fresh.gaussian)
         fit = fit if noise else fit.with_noise()
         bare = fit.under(fit.problem.without_terms)
         return (fit if kit else bare), bare, aside
-
-
-def _without_gross(fresh: Fresh) -> tuple[Fresh, tuple[Finding, ...]]:
-    """Set aside rows that neither the earlier result nor the other rows expect, where these are few."""
-    bound, per_row = fresh.bound, fresh.bound.rows // len(fresh.bound.block.samples)
-    rows = sorted({int(k) // per_row for k in fresh.linear.gross() if k < bound.rows})
-    if not rows:
-        return fresh, ()
-    samples = bound.block.samples
-    found = Finding(
-        "error",
-        "outliers",
-        "these rows are not where the earlier result and the other rows expect them",
-        "Measure there again, or keep them with --keep-outliers",
-        tuple(samples.lines[k] for k in rows),
-    )
-    kept = np.setdiff1d(np.arange(len(samples)), rows)
-    return replace(fresh, bound=bound.take(kept)), (found,)
 
 
 def earlier(

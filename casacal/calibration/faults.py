@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, combinations, permutations
 
 import numpy as np
 
+from casacal.calibration.conventions import in_problem, patterns
 from casacal.calibration.finding import (
     FIRST_STEPS,
-    STEPS,
     Fault,
     Finding,
     Undo,
@@ -23,7 +23,6 @@ from casacal.calibration.finding import (
     weighted,
 )
 from casacal.calibration.numbers import TOOL, alike_numbers, numbers, tool_keys
-from casacal.calibration.patterns import in_problem, patterns
 from casacal.calibration.set_aside import robust_fit, studentised_outliers
 from casacal.data.columns import Labels
 from casacal.data.samples import Samples
@@ -35,7 +34,6 @@ from casacal.model.instrument import ANGLE_UNITS, UNIT_MISTAKES, Suspect, readin
 from casacal.model.joints import Conventions
 from casacal.model.problem import Problem
 from casacal.model.problem_text import conventions_line
-from casacal.model.robot import Robot
 from casacal.values import Array, Index, Rows
 from casacal.wording import figures, numbered_lines, times
 
@@ -52,6 +50,19 @@ MOST_PAIRED = 1200  # rows beyond which it takes too long to look where they sli
 FEW_OFF, MOSTLY = 3, 0.5  # rows, and part of those from the first on, that lie off where readings slipped
 SURELY_OFF = 10.0  # times the median residual beyond which a row is off, however far
 FEWEST = 5  # rows that a face needs on either side of such a place to have a plane there
+HANGS = 6  # rows one after another in which a joint that moves elsewhere shows one value, before it is said to hang
+SMALL = 1e-5  # step of the finite difference, mm or mm per rad
+DOCTOR = "Run casacal doctor on rows of the pendant, and write the coupling into the problem's Conventions"
+MOST_FACES = 12  # faces beyond which their labels are not exchanged two by two
+MOST_SESSIONS = 6  # labels of a column beyond which units are not looked for one by one
+SUSPICIOUS = 2.0  # misfit, in stated standard deviations, above which something systematic is looked for
+BETTER = 0.25  # an undone fault must shrink the misfit to this part to be believed
+EXPLAINED = 50.0  # misfit that noise and effects leave at most; what leaves more explains nothing
+CHANCE = 1.3  # a misfit of this size is chance: whatever leaves no more explains it all
+ALIKE = 1.5  # within this factor a fault and its absence cannot be told apart
+PROMISING = 12  # faults, or pairs of them, that a first look finds best and that are fitted to the end
+PAIRED = 3  # single faults, beside the usual ones, that are tried together with others
+RIVALS = 3  # faults that would explain it equally well and are named
 
 
 def tool_elsewhere(problem: Problem, samples: Samples) -> Undone:
@@ -137,7 +148,10 @@ def zero_moved(problem: Problem, samples: Samples, *, column: str) -> Undone:
     places: list[int] = []
     sizes: tuple[float, ...] = ()
     rows, left = samples, math.inf
-    while len(places) < MOST_SHIFTS and (place := _where_shifted(problem, rows, column)) is not None:
+    while len(places) < MOST_SHIFTS and 2 * FEWEST < len(rows) <= ENOUGH:
+        if (fitted := quick_fit(problem, rows)) is None:
+            break
+        _, place = _best_place(*fitted, _less_shifts(rows, SMALL, column=column, places=[0]))
         less = partial(_less_shifts, column=column, places=[*places, place])
         found = fitted_sizes(problem, samples, less, start=(*sizes, 0.0))
         if (misses := misfit(problem, less(samples, *found))) > WORTH * left:
@@ -152,14 +166,6 @@ def _less_shifts(samples: Samples, *sizes: float, column: str, places: Sequence[
     """Readings less a shift from each of some rows on."""
     shift = sum(size * (np.arange(len(samples)) >= place) for size, place in zip(sizes, places, strict=True))
     return replace(samples, columns={**samples.columns, column: samples.columns[column] - shift})
-
-
-def _where_shifted(problem: Problem, rows: Samples, column: str) -> int | None:
-    """The row from which a shift of the readings lowers chi-square most; None where there is no fit to judge by."""
-    fitted = quick_fit(problem, rows)
-    if fitted is None or not 2 * FEWEST < len(rows) <= ENOUGH:
-        return None
-    return _best_place(*fitted, _less_shifts(rows, SMALL, column=column, places=[0]))[1]
 
 
 def _best_place(bound: BoundProblem, result: Result, shifted: Samples) -> tuple[float, int]:
@@ -204,9 +210,6 @@ def _turned_back(samples: Samples, size: float, *, joint: int, place: int) -> Sa
     return replace(samples, joints=joints)
 
 
-HANGS = 6  # rows one after another in which a joint that moves elsewhere shows one value, before it is said to hang
-
-
 def _hanging(samples: Samples) -> Iterator[Fault]:
     """Joints that show one and the same value over many rows, as of an encoder or a recorder that hangs."""
     for i, values in enumerate(samples.joints.T):
@@ -219,11 +222,11 @@ def _hanging(samples: Samples) -> Iterator[Fault]:
         lines = numbered_lines([samples.lines[k] for k in np.flatnonzero(still).tolist()])
         cause = f"joint {i + 1} shows one and the same value up to {lines}, as of an encoder or a recorder that hangs"
         kept, fix = np.flatnonzero(~still), "Measure these rows again"
-        yield Fault(f"joint {i + 1} stuck", cause, fix, partial(_only, kept=kept), 1, common=False)
+        yield Fault(f"joint {i + 1} stuck", cause, fix, _of_rows(partial(_only, kept=kept)), 1, common=False)
 
 
-def _only(problem: Problem, samples: Samples, *, kept: Index) -> Undone:
-    return Undone(problem, samples.take(kept))
+def _only(samples: Samples, *, kept: Index) -> Samples:
+    return samples.take(kept)
 
 
 def _relabelled(problem: Problem, samples: Samples, place: int) -> Samples | None:
@@ -267,16 +270,6 @@ def fitted_sizes(
     return tuple(map(float, sizes))
 
 
-SMALL = 1e-5  # step of the finite difference, mm or mm per rad
-
-DOCTOR = "Run casacal doctor on rows of the pendant, and write the coupling into the problem's Conventions"
-
-MOST_FACES = 12  # faces beyond which their labels are not exchanged two by two
-
-
-MOST_SESSIONS = 6  # labels of a column beyond which units are not looked for one by one
-
-
 def suspected(problem: Problem, samples: Samples) -> Iterator[Fault]:
     """Every mistake that is looked for; of two that explain samples alike and are as simple, the first is believed."""
     return chain(_columns_and_joints(problem), _places(problem, samples), _parts_of_the_cell(problem, samples))
@@ -295,7 +288,7 @@ def _places(problem: Problem, samples: Samples) -> Iterator[Fault]:
         lines = numbered_lines([samples.lines[k] for k in np.flatnonzero(again).tolist()])
         cause = f"{lines} hold the same place as others to the last digit, as of a target that was lost"
         kept, fix = np.flatnonzero(~again), "Remove these lines, or measure them again"
-        yield Fault("lost target", cause, fix, lambda problem, rows: Undone(problem, rows.take(kept)), 1, common=False)
+        yield Fault("lost target", cause, fix, _of_rows(partial(_only, kept=kept)), 1, common=False)
     for column in samples.labels:
         labels = samples.faces(column)
         if not 2 <= len(labels.names) <= MOST_SESSIONS:
@@ -304,7 +297,7 @@ def _places(problem: Problem, samples: Samples) -> Iterator[Fault]:
             for rows, words in ((labels.codes == code, "is"), (labels.codes != code, "is not")):
                 for factor, unit in UNIT_MISTAKES.items():
                     changed = {each: np.where(rows, factor, 1.0) * samples.columns[each] for each in lengths}
-                    undo = partial(_instead, columns={**samples.columns, **changed})
+                    undo = _of_rows(partial(replace, columns={**samples.columns, **changed}))
                     cause = f"the lengths where {column} {words} '{name}' seem to be {unit}"
                     yield Fault(f"unit by {column}", cause, "Convert those rows", undo, 1, common=False)
 
@@ -313,7 +306,7 @@ def _columns_and_joints(problem: Problem) -> Iterator[Fault]:
     """Mistakes in whole columns: sign, units, joints the other way or swapped; the table's convention."""
     turns = problem.robot.revolute
     for suspect in problem.instrument.suspects:
-        yield Fault(suspect.about, suspect.cause, suspect.fix, _rewritten(suspect))
+        yield Fault(suspect.about, suspect.cause, suspect.fix, _of_rows(partial(_rewritten, suspect=suspect)))
     if turns.any():
         for factor, words in ANGLE_UNITS.items():
             cause, fix = f"the joint angles look like {words}", "Correct the unit in the columns' names"
@@ -321,7 +314,8 @@ def _columns_and_joints(problem: Problem) -> Iterator[Fault]:
     yield from flips(problem)
     if (other := problem.robot.in_other_convention()) is not None:
         cause, fix = "the DH table seems to be of the other convention", "Correct its convention, standard or modified"
-        yield Fault("DH convention", cause, fix, partial(_with_arm, robot=other), 1, common=False)
+        meant = problem.with_parts(other, problem.instruments)
+        yield Fault("DH convention", cause, fix, lambda _, samples: Undone(meant, samples), 1, common=False)
     for i, j in combinations(range(len(turns)), 2):
         if turns[i] == turns[j]:
             order = np.eye(len(turns))
@@ -420,12 +414,12 @@ def _signs_of_faces(samples: Samples, column: str, label: str | None, ends: floa
         fix = f"Reverse the sign of the readings on '{name}'"
         for end in dict.fromkeys((0.0, ends)):
 
-            def undo(problem: Problem, samples: Samples, name: str = name, end: float = end) -> Undone:
+            def other(samples: Samples, name: str = name, end: float = end) -> Samples:
                 reading, rows = samples.columns[column].copy(), samples.faces(label).rows()[name]
                 reading[rows] = end - reading[rows]
-                return Undone(problem, replace(samples, columns={**samples.columns, column: reading}))
+                return replace(samples, columns={**samples.columns, column: reading})
 
-            yield Fault(f"dial sign of '{name}'", cause, fix, undo)
+            yield Fault(f"dial sign of '{name}'", cause, fix, _of_rows(other))
 
 
 def pairings(whole: Samples) -> Iterator[Fault]:
@@ -481,11 +475,7 @@ def _some_units(samples: Samples, column: str, ends: tuple[float, float]) -> Ite
         which = f"up to {most / factor:.3g}" if factor > 1 else f"beyond {most:g}"
         cause, fix = f"the readings {which} mm seem to be {words}", "Write all readings in one unit"
         changed = {**samples.columns, column: np.where(other, factor * reading, reading)}
-        yield Fault("unit of some readings", cause, fix, partial(_instead, columns=changed), 1, False)
-
-
-def _instead(problem: Problem, samples: Samples, *, columns: dict[str, Array]) -> Undone:
-    return Undone(problem, replace(samples, columns=columns))
+        yield Fault("unit of some readings", cause, fix, _of_rows(partial(replace, columns=changed)), 1, False)
 
 
 def _exchanged(problem: Problem, samples: Samples) -> Iterator[Fault]:
@@ -497,14 +487,17 @@ def _exchanged(problem: Problem, samples: Samples) -> Iterator[Fault]:
     known = {*probe.steps, *(problem.instrument.instance("plane", step) for step in probe.steps)}
     pairs = combinations(names if len(names) <= MOST_FACES else (), 2)
     for one, two in (pair for pair in pairs if known & set(pair)):
-
-        def undo(problem: Problem, samples: Samples, one: str = one, two: str = two) -> Undone:
-            faces, other = samples.faces(column), {one: two, two: one}
-            swapped = Labels(tuple(other.get(name, name) for name in faces.names), faces.codes)
-            return Undone(problem, replace(samples, labels={**samples.labels, column: swapped}))
-
         cause, fix = f"the labels '{one}' and '{two}' seem to be exchanged in all rows", "Exchange them"
-        yield Fault("labels exchanged", cause, fix, undo)
+        yield Fault(
+            "labels exchanged", cause, fix, _of_rows(partial(exchanged, column=column, names={one: two, two: one}))
+        )
+
+
+def exchanged(samples: Samples, *, column: str, names: Mapping[str, str]) -> Samples:
+    """Rows with some of the labels of a column called otherwise."""
+    faces = samples.faces(column)
+    swapped = Labels(tuple(names.get(name, name) for name in faces.names), faces.codes)
+    return replace(samples, labels={**samples.labels, column: swapped})
 
 
 def _zeros(problem: Problem) -> Iterator[Fault]:
@@ -518,34 +511,21 @@ def _zeros(problem: Problem) -> Iterator[Fault]:
             yield Fault(f"zero of joint {i + 1}", cause, fix, undo, 1, common=False)
 
 
-def _with_arm(problem: Problem, samples: Samples, *, robot: Robot) -> Undone:
-    return Undone(problem.with_parts(robot, problem.instruments), samples)
+def _rewritten(samples: Samples, *, suspect: Suspect) -> Samples:
+    if suspect.change is not None:
+        return replace(samples, columns=suspect.change(samples.columns))
+    pairs = zip(suspect.columns, suspect.order or suspect.columns, strict=True)
+    scaled = {name: samples.columns[true] * suspect.factor for name, true in pairs}
+    return replace(samples, columns={**samples.columns, **scaled})
 
 
-def _rewritten(suspect: Suspect) -> Undo:
-    def undo(problem: Problem, samples: Samples) -> Undone:
-        if suspect.change is not None:
-            return Undone(problem, replace(samples, columns=suspect.change(samples.columns)))
-        order = suspect.order or suspect.columns
-        pairs = zip(suspect.columns, order, strict=True)
-        scaled = {name: samples.columns[true] * suspect.factor for name, true in pairs}
-        return Undone(problem, replace(samples, columns={**samples.columns, **scaled}))
-
-    return undo
+def _turned(matrix: Array, shift: Array | float = 0.0) -> Undo:
+    return _of_rows(lambda samples: replace(samples, joints=samples.joints @ matrix.T + shift))
 
 
-def _turned(matrix: Array, shift: Array | float = 0.0) -> Callable[[Problem, Samples], Undone]:
-    return lambda problem, samples: Undone(problem, replace(samples, joints=samples.joints @ matrix.T + shift))
-
-
-SUSPICIOUS = 2.0  # misfit, in stated standard deviations, above which something systematic is looked for
-BETTER = 0.25  # an undone fault must shrink the misfit to this part to be believed
-EXPLAINED = 50.0  # misfit that noise and effects leave at most; what leaves more explains nothing
-CHANCE = 1.3  # a misfit of this size is chance: whatever leaves no more explains it all
-ALIKE = 1.5  # within this factor a fault and its absence cannot be told apart
-PROMISING = 12  # faults, or pairs of them, that a first look finds best and that are fitted to the end
-PAIRED = 3  # single faults, beside the usual ones, that are tried together with others
-RIVALS = 3  # faults that would explain it equally well and are named
+def _of_rows(change: Callable[[Samples], Samples]) -> Undo:
+    """What undoes a fault of the rows alone."""
+    return lambda problem, samples: Undone(problem, change(samples))
 
 
 @dataclass(frozen=True)
@@ -621,7 +601,8 @@ def _one(fault: Fault, before: _Attempt) -> Iterator[_Attempt]:
     except CasacalError:  # such as a tool of an instrument that holds it
         return
     undone = replace(undone, found=before.undone.found + undone.found)
-    yield _Attempt((*before.faults, fault), undone, _left(undone, FIRST_STEPS))
+    size = misfit(undone.problem, undone.samples, steps=FIRST_STEPS, start=undone.start)
+    yield _Attempt((*before.faults, fault), undone, size)
 
 
 def _looked_at_closely(tried: list[_Attempt]) -> list[_Attempt]:
@@ -632,18 +613,13 @@ def _looked_at_closely(tried: list[_Attempt]) -> list[_Attempt]:
 
 def _to_the_end(trial: _Attempt) -> _Attempt:
     """A trial with its final misfit: infinite where shuffled joint values would fit about as well."""
-    size = _left(trial.undone, STEPS)
+    undone, samples = trial.undone, trial.undone.samples
+    size = misfit(undone.problem, samples, start=undone.start)
     if size > EXPLAINED:
         return replace(trial, size=size)
-    samples = trial.undone.samples
     mixed = replace(samples, joints=np.random.default_rng(0).permuted(samples.joints, axis=0))
-    says_nothing = misfit(trial.undone.problem, mixed, start=trial.undone.start) * BETTER < max(size, SUSPICIOUS)
+    says_nothing = misfit(undone.problem, mixed, start=undone.start) * BETTER < max(size, SUSPICIOUS)
     return replace(trial, size=math.inf if says_nothing else size)
-
-
-def _left(undone: Undone, steps: int) -> float:
-    """The misfit that is left."""
-    return misfit(undone.problem, undone.samples, steps=steps, start=undone.start)
 
 
 def _pairs(tried: list[_Attempt], problem: Problem) -> list[_Attempt]:

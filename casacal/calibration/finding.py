@@ -20,6 +20,10 @@ from casacal.values import Array
 from casacal.wording import numbered_lines
 
 Severity = Literal["error", "warning", "remark"]
+KEPT = 0.9  # part of the rows, the best of them, that a misfit is made of
+OF_NORMAL = 0.62297  # mean square of that part of a standard normal distribution
+STEPS = 25  # steps of a quick robust fit
+FIRST_STEPS = 6  # steps of a first look, which tells what is promising: with the cause undone, a fit needs few
 
 
 @dataclass(frozen=True)
@@ -42,12 +46,6 @@ class Finding:
         where = f" ({numbered_lines(self.lines)})" if self.lines else ""
         of = f"{self.instrument}: " if self.instrument else ""
         return f"{self.severity}: {of}{self.about}{where}: {self.cause}. {self.fix}."
-
-
-KEPT = 0.9  # part of the rows, the best of them, that a misfit is made of
-OF_NORMAL = 0.62297  # mean square of that part of a standard normal distribution
-STEPS = 25  # steps of a quick robust fit
-FIRST_STEPS = 6  # steps of a first look, which tells what is promising: with the cause undone, a fit needs few
 
 
 @dataclass(frozen=True)

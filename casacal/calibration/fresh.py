@@ -47,6 +47,14 @@ JOINTS, TOOL, TURN, BASE, BASE_TURN = "shift_q", "shift_tool", "shift_turn", "sh
 """Keys of the unknowns: joints as the controller counts them, tool and base in mm along and rad about their axes."""
 
 WIDE = 10.0  # standard deviation that stands for nothing known; these unknowns are given priors by whoever uses them
+SAME = 1e-6  # part of the motion of tip and flange by a joint that the arm's unknowns may fail to follow
+POSES = 60  # postures at which these motions are compared
+ANYWHERE = {"rad": 0.1, "mm": 100.0}  # standard deviations of what may have moved as far as anything does
+MOST = 30_000_000  # elements of a Jacobian that is held as a whole
+ANEW = ("growth",)  # keys of effects that move the tip and differ from session to session
+ALIKE = 1e-6  # difference (mm; of a rotation's elements) of two poses below which arms are one
+COMPARED = 8  # random joint values at which they are compared
+SPENT = 0.5  # part of the rows that are those of the calibration, from which on they verify nothing
 
 
 @dataclass(frozen=True)
@@ -95,10 +103,6 @@ def _rigid(place: Expression, turn: Expression) -> Expression:
     return ca.mtimes([each.matrix if isinstance(each, Product) else ca.SX(each) for each in factors])
 
 
-SAME = 1e-6  # part of the motion of tip and flange by a joint that the arm's unknowns may fail to follow
-POSES = 60  # postures at which these motions are compared
-
-
 def joint_direction(shifted: BoundProblem, x: Array, column: int, arm: NDArray[np.bool_]) -> Array | None:
     """Direction (n,) in the arm's unknowns that does what one unit of a joint's shift does; None where there is none.
 
@@ -128,10 +132,6 @@ def joint_direction(shifted: BoundProblem, x: Array, column: int, arm: NDArray[n
         return None
     found[own] = moves
     return found
-
-
-ANYWHERE = {"rad": 0.1, "mm": 100.0}  # standard deviations of what may have moved as far as anything does
-MOST = 30_000_000  # elements of a Jacobian that is held as a whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,9 +250,6 @@ class Fresh:
         return self.linear.take(np.concatenate([rows, np.arange(self.bound.rows, len(self.linear.residual))]))
 
 
-ANEW = ("growth",)  # keys of effects that move the tip and differ from session to session
-
-
 def with_memory(fresh: Fresh, arm: CalibratedArm) -> Fresh:
     """A copy that takes geometry and effects of the arm, with their joint covariance, from the earlier result.
 
@@ -326,8 +323,18 @@ def fresh_rows(
 def _bound(
     result: CalibratedArm, problem: Problem, samples: Samples, kept: Mapping[str, Array], *, other: bool
 ) -> BoundProblem:
-    """Bind rows with the calibration's non-geometric effects and with noise as it used it."""
-    _check_columns(problem, samples)
+    """Bind rows with the calibration's non-geometric effects and with noise as it used it.
+
+    Raises ProblemError where rows lack columns that tell an effect. How large its error is without them is known, but
+    not how rows share it: torques follow the posture, a payload is the same for many rows. Neither chi-square nor the
+    error along the arm's own directions has a distribution then.
+    """
+    for effect in problem.terms:
+        for name in effect.further:
+            if name not in samples.extra:
+                what = f"{samples.file} has no column '{name}', which says what {effect.words} did to each row"
+                fix = f"Add it; further columns there are: {', '.join(samples.extra) or 'none'}"
+                raise ProblemError(what, fix)
     slots = make_slots(problem, [samples], kept)
     for slot in slots:  # what the drawn arm proposes from fresh rows is neither known nor estimated
         if slot.unknown.nominal is None and not slot.unknown.size and slot.name not in kept:
@@ -343,20 +350,6 @@ def _bound(
         most = MOST // bound.unknowns
         raise SamplesError(samples.file, f"{len(samples):,} rows are too many at once", f"Give up to {most:,} of them")
     return bound
-
-
-def _check_columns(problem: Problem, samples: Samples) -> None:
-    """Raise ProblemError where rows lack columns that tell an effect.
-
-    How large its error is without them is known, but not how rows share it: torques follow the posture, a payload is
-    the same for many rows. Neither chi-square nor the error along the arm's own directions has a distribution then.
-    """
-    for effect in problem.terms:
-        for name in effect.further:
-            if name not in samples.extra:
-                what = f"{samples.file} has no column '{name}', which says what {effect.words} did to each row"
-                fix = f"Add it; further columns there are: {', '.join(samples.extra) or 'none'}"
-                raise ProblemError(what, fix)
 
 
 def _kept(result: CalibratedArm, problem: Problem, samples: Samples, standing: Collection[str]) -> dict[str, Array]:
@@ -404,11 +397,6 @@ def _noise_used(result: CalibratedArm, bound: BoundProblem, *, other: bool) -> d
         return {OTHERS: math.sqrt(1 + max(excess, 0.0) / stated**2), **joints}
     factors = {name: used / stated for name, (stated, used) in pairs.items()}
     return {OTHERS: math.sqrt(float(np.mean([factor**2 for factor in factors.values()]))), **factors, **joints}
-
-
-ALIKE = 1e-6  # difference (mm; of a rotation's elements) of two poses below which arms are one
-COMPARED = 8  # random joint values at which they are compared
-SPENT = 0.5  # part of the rows that are those of the calibration, from which on they verify nothing
 
 
 @dataclass(frozen=True)
@@ -616,34 +604,23 @@ def fresh_among(arm: CalibratedArm, source: ProblemFile, rows: Samples, *, other
         for some, which in ((rows, again), (once, reused))
     )
     fresh = once.take(np.flatnonzero(~reused))
-    remarks = (NOTHING if other else TellingColumns.by(arm, fresh)).beyond
-    if not other:
-        remarks += (*_unlabelled(fresh, source, arm), *_same_postures(fresh, source, data.fitted_rows))
-    return Opened(arm, source, fresh, copied, fitted, other, remarks)
-
-
-def _unlabelled(fresh: Samples, source: ProblemFile, arm: CalibratedArm) -> list[str]:
-    """A remark where rows lack the face column although the calibration had several faces."""
-    groups = source.problem.instrument.groups
-    if groups is None or fresh.labels[groups].names != (groups,):
-        return []
-    keys = [key for key, unknown in source.problem.instrument.unknowns.items() if unknown.per == groups]
-    names = [name.split(".") for name in arm.found.unknowns]
-    known = {name[-2] for name in names if len(name) > 2 and name[-3] in keys}
-    if len(known) < 2:
-        return []
-    return [
-        f"The rows have no column '{groups}' and count as one, while the calibration knows {listed(sorted(known))}: "
-        "add the column if they are on several."
-    ]
-
-
-def _same_postures(fresh: Samples, source: ProblemFile, fitted: Mapping[str, Any] | None) -> list[str]:
-    """A remark where most rows repeat fitted postures, which even wrong parameters predict."""
-    again = 0 if fitted is None else int(in_fitted_postures(fresh, source.problem.layout(), fitted).sum())
-    if again < SPENT * len(fresh):
-        return []
-    return [
-        f"{again} of {len(fresh)} rows are in postures that were fitted. They show that readings repeat, not that the "
-        "arm is right elsewhere: take rows in other postures."
-    ]
+    if other:
+        return Opened(arm, source, fresh, copied, fitted, other, NOTHING.beyond)
+    remarks, groups = [*TellingColumns.by(arm, fresh).beyond], source.problem.instrument.groups
+    if groups is not None and fresh.labels[groups].names == (groups,):
+        keys = [key for key, unknown in source.problem.instrument.unknowns.items() if unknown.per == groups]
+        names = [name.split(".") for name in arm.found.unknowns]
+        known = {name[-2] for name in names if len(name) > 2 and name[-3] in keys}
+        if len(known) > 1:
+            remarks.append(
+                f"The rows have no column '{groups}' and count as one, while the calibration knows "
+                f"{listed(sorted(known))}: add the column if they are on several."
+            )
+    before = data.fitted_rows
+    repeats = 0 if before is None else int(in_fitted_postures(fresh, source.problem.layout(), before).sum())
+    if repeats >= SPENT * len(fresh):  # even wrong parameters predict these
+        remarks.append(
+            f"{repeats} of {len(fresh)} rows are in postures that were fitted. They show that readings repeat, not "
+            "that the arm is right elsewhere: take rows in other postures."
+        )
+    return Opened(arm, source, fresh, copied, fitted, other, tuple(remarks))

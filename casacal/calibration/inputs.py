@@ -22,6 +22,14 @@ Progress: TypeAlias = Callable[[int, float], None]
 Method: TypeAlias = Callable[..., Result | Array]
 
 WORSE = 1e-9  # part of the drawing's cost by which an estimate may exceed it: rounding
+AGREEMENT = 1e-8  # largest relative gap between the costs of two solvers that found the same minimum
+NEGLIGIBLE = 1e-6
+"""A gap in cost that means nothing, however small the costs are.
+
+The cost is minus the logarithm of the posterior, so a gap g in it is a distance of sqrt(2 g) posterior standard
+deviations: here little more than a thousandth of one. Costs of data that fit exactly are rounding, and so
+is their ratio.
+"""
 
 
 def problem_from(source: Any) -> ProblemFile:
@@ -134,17 +142,6 @@ def _judged(found: Result) -> Result:
         if step is not None and step.squared_length > problem.unknowns:
             return replace(found, status=Status.FAR)
     return found
-
-
-AGREEMENT = 1e-8  # largest relative gap between the costs of two solvers that found the same minimum
-
-NEGLIGIBLE = 1e-6
-"""A gap in cost that means nothing, however small the costs are.
-
-The cost is minus the logarithm of the posterior, so a gap g in it is a distance of sqrt(2 g) posterior standard
-deviations: here little more than a thousandth of one. Costs of data that fit exactly are rounding, and so
-is their ratio.
-"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,14 +7,12 @@ made in all rows explains them.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
-from casacal.calibration.faults import MOST_FACES, SUSPICIOUS, explained
+from casacal.calibration.faults import MOST_FACES, SUSPICIOUS, exchanged, explained
 from casacal.calibration.finding import Finding, misfit
-from casacal.data.columns import Labels
 from casacal.data.samples import Samples, joined
 from casacal.errors import CasacalError
 from casacal.fit.bound_problem import bind
@@ -48,7 +46,17 @@ def changed_midway(problem: Problem, samples: Samples) -> Finding | None:
             continue
         line = rest.lines[-1 if backwards else 0]
         where = f"up to line {line}" if backwards else f"from line {line} on"
-        about, cause, fix = _what_changed(problem, good, rest)
+        base = misfit(problem, rest)
+        if (named := _exchanged(problem, good, rest)) is not None:
+            about, cause, fix = named
+        elif base > SUSPICIOUS and (own := explained(problem, rest, base, whole=rest)) is not None:
+            about, cause, fix = own.finding.about, own.finding.cause, f"Mend these rows alone: {own.finding.fix}"
+        else:
+            about, cause = SOMETHING, "they fit by themselves too, but not to the others"
+            if base > SUSPICIOUS:
+                cause = f"they do not fit ({times(base)} times the stated noise by themselves)"
+            fix = "Find out what was changed there: arm, base, tool, dial, faces or the recording; measure those rows "
+            fix += "again"
         alone = "the later lines fit by themselves" if backwards else "the lines before fit by themselves"
         return Finding("error", f"{about} {where}", f"{alone}, and {where} {cause}", fix)
     return None
@@ -93,22 +101,6 @@ def _surprising(problem: Problem, good: Samples, rest: Samples) -> bool:
     return bool(off.size) and float(np.median(off)) > FAR_OFF
 
 
-def _what_changed(problem: Problem, good: Samples, rest: Samples) -> tuple[str, str, str]:
-    """Name, cause and cure of what is otherwise in some rows than in the good ones."""
-    base = misfit(problem, rest)
-    if (named := _exchanged(problem, good, rest)) is not None:
-        return named
-    if base > SUSPICIOUS and (own := explained(problem, rest, base, whole=rest)) is not None:
-        return own.finding.about, own.finding.cause, f"Mend these rows alone: {own.finding.fix}"
-    cause = (
-        f"they do not fit ({times(base)} times the stated noise by themselves)"
-        if base > SUSPICIOUS
-        else ("they fit by themselves too, but not to the others")
-    )
-    fix = "Find out what was changed there: arm, base, tool, dial, faces or the recording; measure those rows again"
-    return SOMETHING, cause, fix
-
-
 def labels_exchanged(problem: Problem, samples: Samples, moved: Samples) -> Finding | None:
     """An error where faces only seem to have moved, as two labels were exchanged from some row on; else None.
 
@@ -131,12 +123,9 @@ def _exchanged(problem: Problem, good: Samples, rest: Samples) -> tuple[str, str
     """Name, cause and cure of two labels that are exchanged in some rows alone; None where none are."""
     column = problem.instrument.groups
     names = () if column is None else rest.faces(column).names
-    for one, two in combinations(range(len(names)), 2) if len(names) <= MOST_FACES else ():
-        labels = rest.faces(column)
-        codes = labels.codes.copy()
-        codes[labels.codes == one], codes[labels.codes == two] = two, one
-        mended = replace(rest, labels={**rest.labels, column or "": Labels(names, codes)})
+    for one, two in combinations(names if len(names) <= MOST_FACES else (), 2):
+        mended = exchanged(rest, column=column or "", names={one: two, two: one})
         if misfit(problem, joined(good, mended)) <= SUSPICIOUS:
-            cause = f"'{names[one]}' and '{names[two]}' seem to be exchanged"
+            cause = f"'{one}' and '{two}' seem to be exchanged"
             return "labels exchanged", cause, "Correct the labels there"
     return None

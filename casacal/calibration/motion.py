@@ -1,27 +1,39 @@
-"""All that moves the tip: the geometry, and effects beside it, corrected where that helps or only counted as errors."""
+"""What moves the tip: the geometry and effects beside it, corrected or only counted as errors; readings and priors.
+
+How the estimate follows these is its derivative by every one, by the implicit function theorem. At the minimum the
+gradient of the objective is zero, g(x, y) = 0, so that dx/dy = -H^-1 dg/dy, with H the exact Hessian in x (Nocedal and
+Wright, Numerical Optimization, 2006, theorem A.2). Weights, effects' sizes and nominal values that the samples propose
+stay as they stand.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 
 from casacal.effects.selection import MOST_ROWS, VERY_STRONG, at_most, gains, in_sample_gains
 from casacal.effects.trusted import TrustedConstants
+from casacal.errors import CasacalError
 from casacal.fit.arm_alone import ArmAlone, ArmProblem, moving
 from casacal.fit.bound_problem import BoundProblem
 from casacal.fit.least_squares import Conditioned, Result
 from casacal.fit.lm import lm
+from casacal.model.instrument import Instrument
 from casacal.model.term import Site
+from casacal.model.trace import RowModel
 from casacal.uncertainty.tip_error import expected_accuracy, tip_stds, without_rigid, workspace_joints
-from casacal.values import Array, FrozenMapping, Value
+from casacal.values import Array, FrozenMapping, Value, read_only
 from casacal.wording import listed
 
 SMALLEST = 1e-2
 """Part of the largest move, in prior standard deviations, below which geometry is not asked to mimic an effect: last
 link against tool, for one, which the tip hardly sees, would go a metre to gain a micrometre."""
+FLAT = 1e-3  # largest component of the gradient, by prior standard deviations, that counts as zero
+MOST_EXACT = 5_000  # whose exact Hessian takes a few seconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +52,10 @@ class Motion:
     @staticmethod
     def of(fit: BoundProblem, result: Result, used: Array, corrected: Collection[str] = ()) -> Motion:
         """Motion of a fit whose arm is used at `used` (n,); corrected effects that are in doubt count as errors too."""
-        doubted = doubtful(fit, corrected) if corrected else set()
+        # something else may be the cause of an effect at the largest accepted size; but where rows see the tip itself,
+        # a correction brings it nearer whatever it is
+        large = at_most(fit) if corrected and not sees_the_tip(fit) else ()
+        doubted = {effect.key for effect in large} & set(corrected)
         sure = used_arm(fit, result, set(corrected) - doubted) if doubted else used
         arm, estimate = moving(fit, result.x)
         x, less = (each[arm.free] if isinstance(arm, ArmAlone) else each for each in (used, sure))
@@ -61,7 +76,16 @@ def used_arm(fit: BoundProblem, result: Result, corrected: Collection[str]) -> A
         return result.x
     arm, x = moving(fit, result.x)
     assert isinstance(arm, ArmAlone)
-    field = np.vstack([_over_workspace(fit, arm, x), _over_rows(fit, result.x)[:, arm.free]])
+    # columns of the rows count as unknown: no geometry can stand for what an effect does by them
+    joints, everything = workspace_joints(fit.problem.robot), arm.expand(x)
+    tips = np.asarray(fit.blocks[0].posture("tip", everything, joints, usual=False)[0])
+    field = without_rigid(fit.tip_jacobian(everything, joints, 0, arm.free, usual=False), tips) / math.sqrt(len(joints))
+    if sees_the_tip(fit):  # freed of station poses
+        some = fit.thinned(MOST_ROWS)
+        slopes = some.jacobian(result.x) * float(np.median(some.noise[some.leading]))
+        stations = slopes[:, fit.datum]
+        slopes -= stations @ np.linalg.lstsq(stations, slopes, rcond=None)[0]
+        field = np.vstack([field, (slopes / math.sqrt(len(some.measured)))[:, arm.free]])
     geometry = ~np.array([bool(key) for key in effect_keys(arm)], dtype=bool) & ~arm.datum
     lost = field[:, left[arm.free]] @ x[left[arm.free]]
     moves = np.linalg.lstsq(field[:, geometry] * arm.start_std[geometry], lost, rcond=SMALLEST)[0]
@@ -72,39 +96,9 @@ def used_arm(fit: BoundProblem, result: Result, corrected: Collection[str]) -> A
     return np.asarray(faces.expand(lm(faces, start=used[fit.datum]).x))
 
 
-def doubtful(fit: BoundProblem, corrected: Collection[str]) -> set[str]:
-    """Corrected effects at the largest accepted size: something else may be their cause.
-
-    None where rows see the tip itself, which such a correction brings nearer whatever it is.
-    """
-    return set() if sees_the_tip(fit) else {effect.key for effect in at_most(fit)} & set(corrected)
-
-
 def sees_the_tip(fit: BoundProblem) -> bool:
     """Whether every row measures the tip itself, all three axes."""
     return all(instrument.words.accuracy for instrument in fit.problem.instruments)
-
-
-def _over_workspace(fit: BoundProblem, arm: ArmAlone, x: Array) -> Array:
-    """Tip Jacobian (3 M, s) over M workspace poses, apart from the position of the base, over sqrt(M).
-
-    Columns of the rows count as unknown: no geometry can stand for what an effect does by them.
-    """
-    joints, everything = workspace_joints(fit.problem.robot), arm.expand(x)
-    tips = fit.blocks[0].posture("tip", everything, joints, usual=False)[0]
-    field = without_rigid(fit.tip_jacobian(everything, joints, 0, arm.free, usual=False), np.asarray(tips))
-    return np.asarray(field / math.sqrt(len(joints)))
-
-
-def _over_rows(fit: BoundProblem, x: Array) -> Array:
-    """Tip Jacobian (k, n) at N rows over sqrt(N), freed of station poses; empty where rows do not see the tip."""
-    if not sees_the_tip(fit):
-        return np.zeros((0, fit.unknowns))
-    some = fit.thinned(MOST_ROWS)
-    slopes = some.jacobian(x) * float(np.median(some.noise[some.leading]))
-    stands = slopes[:, fit.datum]
-    slopes -= stands @ np.linalg.lstsq(stands, slopes, rcond=None)[0]
-    return np.asarray(slopes / math.sqrt(len(some.measured)))
 
 
 def effect_keys(arm: ArmProblem) -> tuple[str, ...]:
@@ -214,3 +208,104 @@ def tip_error(fit: BoundProblem, result: Result, corrected: Collection[str], *, 
     """
     motion = Motion.of(fit, result, used_arm(fit, result, corrected))
     return expected_accuracy(motion.arm, motion.x, motion.off, usual=usual)[1]
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity(Value):
+    """Derivatives of the estimate x (n), mm and rad, and what they do to the tip over the workspace.
+
+    names: of the unknowns. readings: line and column of each number (k) of a row beside the joint values, as in the
+    file. by_reading: dx/dy (n, k), by the columns' units. by_prior: dx/dx0 (n, n), column j by the prior's mean of
+    unknown j. rows: line of each row (N). tip_by_row (N), tip_by_prior (n): how far the tip moves, mm RMS over the
+    workspace apart from the base's position, where all of a row, or a prior's mean, errs by one standard deviation.
+    """
+
+    names: tuple[str, ...]
+    readings: tuple[tuple[int | str, str], ...]
+    by_reading: Array
+    by_prior: Array
+    rows: tuple[int | str, ...]
+    tip_by_row: Array
+    tip_by_prior: Array
+
+    def __post_init__(self) -> None:
+        for name in ("by_reading", "by_prior", "tip_by_row", "tip_by_prior"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    def without_tips(self) -> Sensitivity:
+        """A copy with NaN in place of every tip error."""
+        nothing = {name: np.full_like(getattr(self, name), np.nan) for name in ("tip_by_row", "tip_by_prior")}
+        return replace(self, **nothing)
+
+    def most(self, count: int = 5) -> tuple[list[tuple[int | str, float]], list[tuple[str, float]]]:
+        """The rows, by line, and the priors, by name, that move the tip most, each with mm RMS; none that move none."""
+        pairs = ((self.rows, self.tip_by_row), (self.names, self.tip_by_prior))
+        rows, priors = (
+            [(names[j], float(tips[j])) for j in np.argsort(-tips, kind="stable")[:count] if tips[j] > 0]
+            for names, tips in pairs
+        )
+        return rows, priors
+
+
+def sensitivity(fit: BoundProblem, result: Result, tip: Array) -> Sensitivity:
+    """Sensitivity at a minimum; tip: derivative (3 M, n) of M tips by the unknowns, mm.
+
+    Raises CasacalError where the estimate is no minimum of the plain objective, or rows are too many.
+    """
+    if result.loss is not None or not result.converged or not result.kkt < FLAT:
+        raise CasacalError("This estimate is no minimum of the plain objective", "Use lm or sckf-lm without a loss")
+    if fit.rows > MOST_EXACT:
+        what = f"{fit.rows:,} rows with {fit.unknowns:,} unknowns are too many for the sensitivity"
+        raise CasacalError(what, f"Take at most {MOST_EXACT:,} rows")
+    kinds, starts = fit.symbolic.kinds, fit.measured.starts
+    models = [_row_function(*each) for each in zip(fit.problem.models, fit.problem.instruments, strict=True)]
+    hessian, found = fit.prior_information.copy(), []
+    for kind in kinds:
+        inputs, of_row = (result.x[kind.columns], kind.constants), models[kind.instrument][0]
+        rows = [[each.full() for each in of_row(*inputs, *row)] for row in zip(kind.data, kind.noise, strict=True)]
+        hessian[np.ix_(kind.columns, kind.columns)] += np.sum([row[2] for row in rows], axis=0)
+        found.append((np.array([row[0] for row in rows]), np.concatenate([row[1] for row in rows], axis=1)))
+    scale, along = fit.start_std[:, None], fit.tangent(result.x)
+    basis = None if along is None else np.linalg.qr(along / scale)[0]  # along what constraints leave
+    scaled = hessian * np.outer(fit.start_std, fit.start_std)
+    values, vectors = np.linalg.eigh(scaled if basis is None else basis.T @ scaled @ basis)
+    held = values > len(values) * np.finfo(float).eps * values.max(initial=0.0)  # what nothing holds does not move
+    root = scale * (vectors if basis is None else basis @ vectors)[:, held]
+    inverse = (root / values[held]) @ root.T
+    squares = inverse @ (tip.T @ tip) @ inverse / (len(tip) / 3)  # of the tip by gradients
+    readings, by_reading = list[tuple[int, str]](), []
+    tips = np.zeros(len(fit.measured))
+    for kind, (slopes, changes) in zip(kinds, found, strict=True):
+        places = int(starts[kind.instrument]) + kind.samples
+        block = squares[np.ix_(kind.columns, kind.columns)]
+        tips[places] = np.sqrt(np.maximum(np.einsum("kmi,ij,kmj->k", slopes, block, slopes), 0.0))
+        readings += [(int(k), name) for k in places for name in models[kind.instrument][1]]
+        by_reading.append(-inverse[:, kind.columns] @ changes)
+    in_file = np.argsort([k for k, _ in readings], kind="stable")
+    pull, held = fit.prior_information, np.diagonal(fit.prior_information)
+    std = np.where(held > 0, 1 / np.sqrt(np.where(held > 0, held, 1.0)), 0.0)  # of each, were the others known
+    return Sensitivity(
+        fit.names,
+        tuple((fit.measured.place(readings[j][0]), readings[j][1]) for j in in_file),
+        np.concatenate(by_reading, axis=1)[:, in_file],
+        inverse @ pull,
+        tuple(fit.measured.place(k) for k in range(len(fit.measured))),
+        tips,
+        std * np.sqrt(np.maximum(np.diagonal(pull @ squares @ pull), 0.0)),
+    )
+
+
+def _row_function(model: RowModel, instrument: Instrument) -> tuple[ca.Function, list[str]]:
+    """(z, c, d, w) -> whitened slopes (m, nz) of a row, its gradient's change by columns (nz, k), its Hessian (nz, nz).
+
+    And these columns: what the instrument reads.
+    """
+    z, c, d = (ca.SX.sym(name, model.residual.numel_in(i)) for i, name in enumerate("zcd"))
+    w = ca.SX.sym("w", model.components)
+    e = model.residual(z, c, d) / w
+    slopes = ca.jacobian(e, z)
+    hessian, gradient = ca.hessian(ca.sumsqr(e) / 2, z)
+    first, names = d.numel() - len(model.names), [name for name in model.names if name in instrument.columns]
+    columns = [first + model.names.index(name) for name in names]
+    outputs = [slopes, ca.jacobian(gradient, d[columns]), hessian]
+    return ca.Function("row", [z, c, d, w], [ca.densify(each) for each in outputs]), names

@@ -27,16 +27,34 @@ from casacal.uncertainty.tip_error import tip_rms, tip_stds, without_rigid, work
 from casacal.values import Array, Index
 from casacal.wording import figures, listed
 
+MEASURED = 1.0  # standard deviation, mm, with which people measure a tool
+DISTINGUISHED = 4.5  # cost, in units of the noise, by which rows tell two causes apart: three standard deviations
+CHANCE_OF_MOVE = 1e-3  # chance that a tool as stated moves so far, all its components together
+FAR = 2.0
+"""Prior standard deviations that a component must move: where the model is wrong, small moves look improbable, too."""
+NO_DRAWING = 2.0  # mm by which no length of an arm differs from its drawing
+ANOTHER = 20.0  # standard deviations of a tool's prior by which a tool may differ that was exchanged or misread
+TOGETHER = 0.9  # correlation of a length and the tool, without sign, from which the rows see their sum alone
+WIDE = {"rad": 0.1, "mm": 20.0}  # smallest prior under which `calibrate` tries another number, by unit
+TWISTS = "alpha", "beta"  # angles of a DH table that no mastering moves
+WRONG = 5.0  # prior standard deviations from the drawing at which a number is another, not an error of manufacture
+SURE = 3.0  # standard deviations, with the noise as found, by which it must lie beyond
+ALONE = 16.0
+"""Times the others' mean by which what a number's prior costs must stand out: four standard deviations, squared."""
+SCALE, TOOL = "scale of the readings", "tool elsewhere"
+BY_CHANCE = 1e-4  # chance of a common scale, and more, where nothing scales lengths
+UNLIKELY = 1e-2  # the same, beyond which it is mentioned
+WARM = 1e-3  # part by which an arm grows that is 40 degrees warmer than its drawing, and more, of any metal
+MOST_PART = 0.1  # no dial is so wrong; where all touches were driven to one depth, readings seem to mean nothing at all
+TRIED = 2  # numbers that are freed one by one, those first that gain most
+LITTLE = {"mm": 5.0, "rad": math.radians(2.0)}  # by which an arm may differ that is otherwise built as drawn
+
 
 def tool_keys(problem: Problem) -> list[str]:
     """Keys of the instrument's unknown lengths that place its tip; empty for an instrument without one."""
     probe, unknowns = problem.instrument.probe, problem.instrument.unknowns
     moves = () if probe is None else probe.moves
     return [key for key in moves if isinstance(found := unknowns.get(key), Parameter) and found.unit == "mm"]
-
-
-MEASURED = 1.0  # standard deviation, mm, with which people measure a tool
-DISTINGUISHED = 4.5  # cost, in units of the noise, by which rows tell two causes apart: three standard deviations
 
 
 def priors_of(problem: Problem) -> Iterator[tuple[str, str, float, str]]:
@@ -77,12 +95,6 @@ def alike_numbers(bound: BoundProblem, keys: Sequence[str]) -> dict[str, str]:
     return as_good(bound, {name: [name] for name, *_ in priors_of(bound.problem)}, freed)
 
 
-CHANCE_OF_MOVE = 1e-3  # chance that a tool as stated moves so far, all its components together
-
-FAR = 2.0
-"""Prior standard deviations that a component must move: where the model is wrong, small moves look improbable, too."""
-
-
 def tool_elsewhere_at(bound: BoundProblem, x: Array, covariance: Array) -> list[Finding]:
     """A warning where the tool moved far beyond its prior in a fit, at its estimate (n,) with the covariance (n, n).
 
@@ -117,11 +129,6 @@ def tool_elsewhere_at(bound: BoundProblem, x: Array, covariance: Array) -> list[
     return [Finding("warning", "tool elsewhere", cause, fix)]
 
 
-NO_DRAWING = 2.0  # mm by which no length of an arm differs from its drawing
-ANOTHER = 20.0  # standard deviations of a tool's prior by which a tool may differ that was exchanged or misread
-TOGETHER = 0.9  # correlation of a length and the tool, without sign, from which the rows see their sum alone
-
-
 def _length_for_tool(bound: BoundProblem, x: Array, covariance: Array, tool: Index) -> list[Finding]:
     """A warning where a length of the arm moved far and the tool (its places in x) elsewhere fits as well."""
     stds = np.sqrt(np.diagonal(covariance))
@@ -138,23 +145,6 @@ def _length_for_tool(bound: BoundProblem, x: Array, covariance: Array, tool: Ind
             fix = f"Measure the tool from the flange; only if it is as stated, keep {name}"
             return [Finding("warning", f"tool or {name}", cause, fix)]
     return []
-
-
-WIDE = {"rad": 0.1, "mm": 20.0}  # smallest prior under which `calibrate` tries another number, by unit
-TWISTS = "alpha", "beta"  # angles of a DH table that no mastering moves
-WRONG = 5.0  # prior standard deviations from the drawing at which a number is another, not an error of manufacture
-SURE = 3.0  # standard deviations, with the noise as found, by which it must lie beyond
-
-ALONE = 16.0
-"""Times the others' mean by which what a number's prior costs must stand out: four standard deviations, squared."""
-
-SCALE, TOOL = "scale of the readings", "tool elsewhere"
-BY_CHANCE = 1e-4  # chance of a common scale, and more, where nothing scales lengths
-UNLIKELY = 1e-2  # the same, beyond which it is mentioned
-WARM = 1e-3  # part by which an arm grows that is 40 degrees warmer than its drawing, and more, of any metal
-MOST_PART = 0.1  # no dial is so wrong; where all touches were driven to one depth, readings seem to mean nothing at all
-
-TRIED = 2  # numbers that are freed one by one, those first that gain most
 
 
 def numbers(problem: Problem) -> Iterator[Fault]:
@@ -188,7 +178,19 @@ def _wrong_number(bound: BoundProblem, alone: bool) -> list[Finding]:
     result = lm(stated)
     if not result.converged:
         return []
-    for name, key, unit in _promising(stated, result.x, np.diagonal(result.covariance)):
+    # numbers whose prior costs far more than that of any other: without it twice the cost falls by x^2 / (s^2 - C), the
+    # square of a standard normal number where the prior is right; where all priors are too tight, or the noise is, all
+    # of these grow
+    gains = {}
+    for name, key, std, unit in priors_of(bound.problem):
+        j = stated.names.index(name)
+        learned = std**2 - result.covariance[j, j]
+        gains[name, key, unit] = float(result.x[j] ** 2 / learned) if learned > DULL * std**2 else 0.0
+    total, others = sum(gains.values()), max(len(gains) - 1, 1)
+    first = sorted(gains, key=lambda each: -gains[each])[:TRIED]
+    for name, key, unit in first:
+        if not gains[name, key, unit] > ALONE * max((total - gains[name, key, unit]) / others, 1.0):
+            continue
         freed = bind(bound.problem.with_prior({name: math.inf}), *bound.samples)
         found = lm(freed)
         j, noise = freed.names.index(name), max(noise_interval(found)[0], 1.0)
@@ -199,14 +201,11 @@ def _wrong_number(bound: BoundProblem, alone: bool) -> list[Finding]:
             if not alone and _likelihood(wide) < _likelihood(stated):
                 return []  # errors that rows share pull a number far as well
             size = f"{_by(bound.problem, key, name, by)}, which is {abs(by) / prior:.2g} prior standard deviations"
-            if rivals := _rivals(bound, name, found):
-                return [_one_of(bound.problem, rivals, name, size)]
+            if several := _one_of_several(bound, name, found, size):
+                return several
             cause = f"{name} seems to differ from the problem file{size}; no other parameter is so far off"
             return [Finding("error", f"{name} elsewhere", cause, _fix(name, unit) + _tried(name, unit, by))]
     return []
-
-
-LITTLE = {"mm": 5.0, "rad": math.radians(2.0)}  # by which an arm may differ that is otherwise built as drawn
 
 
 def borne_out(bound: BoundProblem, name: str) -> bool:
@@ -219,8 +218,8 @@ def borne_out(bound: BoundProblem, name: str) -> bool:
     return abs(found.x[j]) < LITTLE.get(fit.units[j], 0.0) and found.converged and regions_borne_out(fit, found)
 
 
-def _rivals(bound: BoundProblem, name: str, freed: Result) -> dict[str, str]:
-    """Other numbers of tool, instrument and arm that explain the rows as well, each with its deviation.
+def _one_of_several(bound: BoundProblem, name: str, freed: Result, size: str) -> list[Finding]:
+    """An error on a number and others of tool, instrument and arm that explain the rows as well, if there are any.
 
     The instrument's own numbers come first, the tool before all others: it is what people exchange and mistype.
     """
@@ -228,11 +227,9 @@ def _rivals(bound: BoundProblem, name: str, freed: Result) -> dict[str, str]:
     own = dict.fromkeys(full for key, full in problem.full_names[0].items() if key not in problem.instrument.datum)
     tool = [problem.full_names[0][key] for key in tool_keys(problem)]
     groups = {**({"tool": tool} if tool else {}), **{key: [key] for key in own if key not in tool}}
-    return as_good(bound, groups | {each: [each] for each, *_ in priors_of(problem) if each != name}, freed)
-
-
-def _one_of(problem: Problem, rivals: Mapping[str, str], name: str, size: str) -> Finding:
-    """An error on one of several numbers that the rows cannot tell apart."""
+    rivals = as_good(bound, groups | {each: [each] for each, *_ in priors_of(problem) if each != name}, freed)
+    if not rivals:
+        return []
     probe = problem.instrument.probe
     zero = " and the zero of the dial" if probe is not None and probe.column is not None else ""
     said = [f"{'the ' if title == 'tool' else ''}{title} ({by})" for title, by in rivals.items()]
@@ -245,7 +242,7 @@ def _one_of(problem: Problem, rivals: Mapping[str, str], name: str, size: str) -
         f"Measure {first}, and correct in the problem file only what proves to be wrong: another choice fits as well "
         "and puts the flange elsewhere"
     )
-    return Finding("error", f"{listed([*rivals, name], 'or')} elsewhere", cause, fix)
+    return [Finding("error", f"{listed([*rivals, name], 'or')} elsewhere", cause, fix)]
 
 
 def wrong_scale(bound: ArmProblem, x: Array, covariance: Array) -> list[Finding]:
@@ -299,22 +296,6 @@ def _likelihood(bound: BoundProblem) -> float:
     found = lm(fit)
     fit = fit.with_noise(times(fit.scale, noise_interval(found)[0]))
     return evidence(normal_equations(fit, found.x), fit.prior_information) - float(np.log(fit.noise).sum())
-
-
-def _promising(bound: BoundProblem, x: Array, variances: Array) -> list[tuple[str, str, str]]:
-    """Names, keys and units of the numbers whose prior costs far more than that of any other.
-
-    Without it twice the cost falls by x^2 / (s^2 - C), the square of a standard normal number where the prior is right;
-    where all priors are too tight, or the noise is, all of these grow.
-    """
-    gains = {}
-    for name, key, std, unit in priors_of(bound.problem):
-        j = bound.names.index(name)
-        learned = std**2 - variances[j]
-        gains[name, key, unit] = float(x[j] ** 2 / learned) if learned > DULL * std**2 else 0.0
-    order, total = sorted(gains, key=lambda each: -gains[each]), sum(gains.values())
-    others = max(len(gains) - 1, 1)
-    return [each for each in order[:TRIED] if gains[each] > ALONE * max((total - gains[each]) / others, 1.0)]
 
 
 def _freed(problem: Problem, samples: Samples, *, name: str) -> Undone:

@@ -9,12 +9,21 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from casacal.calibration import tables
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.motion import Tried, tip_extremes
-from casacal.calibration.report_pictures import LOOKED_AT, Part, Touches, face_maps, histograms, row_plots
-from casacal.calibration.result_parts import closing as closing_part
-from casacal.calibration.result_parts import geometry, image_words, noise_part, parameter_rows, verdict_lines
+from casacal.calibration.report_pictures import LOOKED_AT, Touches, face_maps, histograms, row_plots
+from casacal.calibration.result_json import closing as closing_part
+from casacal.calibration.result_json import geometry, image_words, noise_part, parameter_rows, verdict_lines
+from casacal.calibration.summary import (
+    constant_table,
+    correlation_table,
+    cure_table,
+    direction_table,
+    effect_table,
+    left_out_table,
+    parameters_table,
+    residual_table,
+)
 from casacal.calibration.verdict import WithVerdict
 from casacal.deployment.result import Level
 from casacal.effects.selection import VERY_STRONG
@@ -46,6 +55,20 @@ from casacal.wording import METRE, capital, numbered_lines, sized
 MOST_FACES = 40  # faces with a line of their own
 SHOWN = 10  # rows listed
 LARGE = 4.0  # whitened residual beyond which fewer than one in ten thousand good rows lie
+SQUARES = 24  # squares along the longer side of a view
+MARKED = 240  # touches drawn on the maps, of all faces together
+POSTURES = 8192  # random postures within the joint limits that the map is made of; a multiple of the kernels' block
+TITLES = {"error": "Expected tip error", "correction": "Correction"}
+CAPTIONS = {
+    "error": f"Expected tip error after calibration, from {POSTURES:,} random postures within the joint limits; "
+    "black dots are where it touched. Each square is the RMS over the postures that lead there. Verify where it is "
+    "dark before you rely on it.",
+    "correction": "How far the calibrated tip lies from the nominal one, apart from the position of the base: what "
+    "the calibration changes.",
+}
+LOOKS: Mapping[Level, str] = {"calibrated": "good", "use with care": "care", "do not use": "bad"}
+"""How the page paints each level."""
+LINES = 60  # line numbers that are named
 
 
 def measured(touches: Touches, planes: Mapping[str, Any]) -> dict[str, Any]:
@@ -72,14 +95,22 @@ def measured(touches: Touches, planes: Mapping[str, Any]) -> dict[str, Any]:
 
 def worst_rows(each: Sequence[Touches]) -> dict[str, Any]:
     """The rows of all instruments that fit worst, most telling first, and how many are beyond `LARGE`."""
-    worst: list[tuple[float, int, list[object]]] = []
+    worst: list[tuple[float, int, list[str]]] = []
     beyond, calibration = 0, each[0].calibration
     for name, part in ((of.name, part) for of in each for part in of.parts):
         white = np.abs(part.after / part.noise).max(axis=1)
         beyond += int((white > LARGE).sum())
         for i in np.argsort(-white, kind="stable")[:SHOWN].tolist():
-            line, *cells = _row(part, i, float(white[i]))
-            worst.append((-float(white[i]), int(part.lines[i]), [f"{name} {line}".strip(), *cells]))
+            component = int(np.argmax(np.abs(part.after[i] / part.noise[i])))
+            cells = [
+                f"{name} {part.lines[i]}".strip(),
+                "–" if part.labels is None else shortened(part.labels[i], 40),
+                "held\N{NO-BREAK SPACE}out" if part.held else "fitted",
+                fixed(float(part.after[i, component]), signed=True),
+                fixed(float(white[i]), 1),
+                "–" if part.held else fixed(float(part.weight[i]), 2),
+            ]
+            worst.append((-float(white[i]), int(part.lines[i]), cells))
     worst.sort(key=lambda entry: entry[:2])
     titles = ["Line", capital(calibration.fit.problem.words.group), "Rows", "#Residual, mm"]
     titles += [f"#Times {calibration.noise_words}", *(["#Weight"] if calibration.result.loss is not None else [])]
@@ -134,19 +165,6 @@ def _triple(values: Any, digits: int) -> str:
     return ", ".join(fixed(float(value), digits) for value in values)
 
 
-def _row(part: Part, i: int, white: float) -> list[str]:
-    component = int(np.argmax(np.abs(part.after[i] / part.noise[i])))
-    labels = part.labels
-    return [
-        str(part.lines[i]),
-        "–" if labels is None else shortened(labels[i], 40),
-        "held\N{NO-BREAK SPACE}out" if part.held else "fitted",
-        fixed(float(part.after[i, component]), signed=True),
-        fixed(white, 1),
-        "–" if part.held else fixed(float(part.weight[i]), 2),
-    ]
-
-
 def cell_as_found(calibration: Calibration) -> Markup | None:
     """The faces as they were found and touched, with the arm at its first touch; None where none are touched."""
     bound, x = calibration.fit, calibration.used_x
@@ -163,21 +181,6 @@ def cell_as_found(calibration: Calibration) -> Markup | None:
     drawing = CellDrawing.of(Clearance().around(found.problem.robot, cell), samples.joints, tips)
     words = "The arm at its first touch, from the side and from above: faces (yellow) where and as large as they were "
     return None if drawing is None else figure(f"{words}touched, all tips (dots), the table grey.", *drawing.overview())
-
-
-SQUARES = 24  # squares along the longer side of a view
-MARKED = 240  # touches drawn on the maps, of all faces together
-POSTURES = 8192  # random postures within the joint limits that the map is made of; a multiple of the kernels' block
-
-
-TITLES = {"error": "Expected tip error", "correction": "Correction"}
-CAPTIONS = {
-    "error": f"Expected tip error after calibration, from {POSTURES:,} random postures within the joint limits; "
-    "black dots are where it touched. Each square is the RMS over the postures that lead there. Verify where it is "
-    "dark before you rely on it.",
-    "correction": "How far the calibrated tip lies from the nominal one, apart from the position of the base: what "
-    "the calibration changes.",
-}
 
 
 def expected_error(each: Sequence[Touches], box: Box | None) -> dict[str, Any]:
@@ -276,12 +279,6 @@ class Workspace:
         return Workspace(tips, error, correction)
 
 
-LOOKS: Mapping[Level, str] = {"calibrated": "good", "use with care": "care", "do not use": "bad"}
-"""How the page paints each level."""
-
-LINES = 60  # line numbers that are named
-
-
 def report_page(
     calibration: WithVerdict, document: Mapping[str, Any], *, command: str | None = None, box: Box | None = None
 ) -> str:
@@ -293,8 +290,8 @@ def report_page(
     each = tuple(Touches.of(calibration, i) for i in range(len(calibration.fit.samples)))
     problem, verdict, denied = calibration.fit.problem, calibration.verdict, calibration.denied
     noise, closing = noise_part(calibration.unjudged), closing_part(calibration.result, calibration.seconds)
-    parameters, held = tables.parameters(calibration)
-    costly, harmless = tables.directions(calibration)
+    parameters, held = parameters_table(calibration)
+    costly, harmless = direction_table(calibration)
     context = {
         "title": f"Calibration of {problem.robot.name} ({calibration.source.name})",
         "document": document,
@@ -314,8 +311,8 @@ def report_page(
         "image": image_words(calibration, verdict),
         "figures": _figures(calibration),
         "measured": [measured(touches, geometry(calibration.fit, calibration.used_x)["planes"]) for touches in each],
-        "residuals": tables.residuals(calibration),
-        "left_out": tables.left_out(calibration),
+        "residuals": residual_table(calibration),
+        "left_out": left_out_table(calibration),
         "noise": noise,
         "noise_words": _noise(calibration, noise),
         "cell": cell_as_found(calibration),
@@ -325,12 +322,12 @@ def report_page(
         "expected": None if denied else expected_error(each, box),
         "parameters": parameters if denied else replace(parameters, rows=[_marked(row) for row in parameters.rows]),
         "held": held,
-        "correlations": None if denied else tables.correlations(calibration),
-        "cures": None if denied else tables.next_steps(calibration),
+        "correlations": None if denied else correlation_table(calibration),
+        "cures": None if denied else cure_table(calibration),
         "directions": costly,
         "harmless": harmless,
-        "constants": None if denied else tables.constants(calibration),
-        "effects": tables.effects(calibration),
+        "constants": None if denied else constant_table(calibration),
+        "effects": effect_table(calibration),
         "tried": _tried(calibration.tried),
         "very_strong": f"{VERY_STRONG:g}",
         "worst": worst_rows(each),

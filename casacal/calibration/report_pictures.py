@@ -48,6 +48,9 @@ LINED = 30  # series with lines between them
 MOST_POINTS = 150  # touches of a face beyond which means over small squares are drawn in place of points
 FACE_SQUARES = 14  # squares along the longer side of a face
 MOST_MAPS = 12
+LOOKED_AT = 4096  # rows of a face, evenly spread, whose tips and tilts are looked at; a multiple of the kernels' block
+COORDINATES = "xyz"
+TITLES: Mapping[When, str] = {"before": "Before", "after": "After"}
 
 
 def histograms(touches: Touches) -> Markup:
@@ -118,8 +121,22 @@ def _by_row(touches: Touches, when: When) -> Markup:
     top = nice_ceiling(min(largest, REACH * spread(everything)))
     panel = Panel((0.0, float(count)), (-top, top))
     drawn, beyond = [], []
+    most = max(DRAWN // (count * len(touches.parts)), 2)
+    series = np.unique(np.linspace(0, count - 1, MOST_SERIES).astype(int)).tolist()
     for part in touches.parts:
-        x, y = _points(touches, part, when)
+        values, across, up = part.residuals(when), [np.zeros(0)], [np.zeros(0)]
+        several = values.shape[1] > 1  # a series is then one of a row's residuals
+        for k in series:  # one unit along the axis for each
+            rows = np.arange(len(values)) if several else part.rows_of(touches.faces[k])
+            rows = rows[np.argsort(part.lines[rows], kind="stable")]
+            if len(rows):
+                own = values[rows, k if several else 0]
+                kept = np.union1d(
+                    thinned(np.arange(len(rows)), most), np.argsort(-np.abs(own), kind="stable")[:LARGEST]
+                )
+                across.append(k + 0.06 + 0.88 * (kept + 0.5) / len(rows))
+                up.append(own[kept])
+        x, y = np.concatenate(across), np.concatenate(up)
         inside = np.abs(y) <= top
         drawn.append(dots(panel, x[inside], y[inside], "dot held" if part.held else f"dot {when}"))
         beyond.append(dots(panel, x[~inside], top * np.sign(y[~inside]), "dot beyond"))
@@ -139,22 +156,6 @@ def _by_row(touches: Touches, when: When) -> Markup:
         *drawn,
         *beyond,
     )
-
-
-def _points(touches: Touches, part: Part, when: When) -> tuple[Array, Array]:
-    """Places along the axis, one unit per series, and residuals of the rows that are drawn."""
-    count, values = len(touches.series), part.residuals(when)
-    most = max(DRAWN // (count * len(touches.parts)), 2)
-    across, up = [np.zeros(0)], [np.zeros(0)]
-    for k in np.unique(np.linspace(0, count - 1, MOST_SERIES).astype(int)).tolist():
-        rows, component = touches.of_series(part, k)
-        if len(rows):
-            own = values[rows, component]
-            largest = np.argsort(-np.abs(own), kind="stable")[:LARGEST]
-            kept = np.union1d(thinned(np.arange(len(rows)), most), largest)
-            across.append(k + 0.06 + 0.88 * (kept + 0.5) / len(rows))
-            up.append(own[kept])
-    return np.concatenate(across), np.concatenate(up)
 
 
 def face_maps(touches: Touches) -> Markup | None:
@@ -218,10 +219,7 @@ def _map(name: str, label: str, places: Places, means: Squares | None, scale: Sc
 
 Rows: TypeAlias = NDArray[np.intp]
 
-LOOKED_AT = 4096  # rows of a face, evenly spread, whose tips and tilts are looked at; a multiple of the kernels' block
-COORDINATES = "xyz"
 When: TypeAlias = Literal["before", "after"]
-TITLES: Mapping[When, str] = {"before": "Before", "after": "After"}
 
 
 @dataclass(frozen=True)
@@ -293,9 +291,18 @@ class Touches:
     @staticmethod
     def of(calibration: Calibration, number: int = 0) -> Touches:
         """Residuals of the rows of an instrument, before and after."""
-        parts, names = [_part(calibration, calibration.fit, number, held=False)], calibration.fit.problem.names
-        if calibration.heldout is not None and len(calibration.heldout.samples[number]):
-            parts.append(_part(calibration, calibration.heldout, number, held=True))
+        parts, names, found = [], calibration.fit.problem.names, calibration.result
+        pairs = (calibration.before.x, calibration.used_x), calibration.heldout_x
+        for bound, pair in zip((calibration.fit, calibration.heldout), pairs, strict=True):
+            held = bound is not calibration.fit
+            if bound is None or (held and not len(bound.samples[number])):
+                continue
+            count, own = len(bound.samples[number]), bound.sample_rows(number)
+            drawn = bound.leading[own].reshape(count, -1)[0] if count else slice(None)  # pictures have one unit
+            before, after = (bound.plain_residual(x)[own].reshape(count, -1)[:, drawn] for x in pair)
+            weight = np.ones(count) if held else found.weights[own].reshape(count, -1).min(axis=1)
+            noise = bound.blocks[number].noise[:, drawn]
+            parts.append(Part(bound, number, held, pair[1], before, after, noise, weight))
         return Touches(calibration, tuple(parts), number, names[number] if len(names) > 1 else "")
 
     @property
@@ -329,14 +336,6 @@ class Touches:
         count = self.parts[0].after.shape[1]
         return self.faces if count == 1 else tuple(COORDINATES[:count]) if count <= 3 else tuple(map(str, range(count)))
 
-    def of_series(self, part: Part, k: int) -> tuple[Rows, int]:
-        """Rows of one series in file order, and which of their residuals."""
-        if part.after.shape[1] > 1:
-            rows, component = np.arange(len(part.after)), k
-        else:
-            rows, component = part.rows_of(self.faces[k]), 0
-        return rows[np.argsort(part.lines[rows], kind="stable")], component
-
     def places(self, label: str, most: int = LOOKED_AT) -> Places | None:
         """Where a face was touched; None where its touches lie on a line, so that they have no u and v."""
         chosen = [thinned(part.rows_of(label), most) for part in self.parts]
@@ -345,13 +344,18 @@ class Touches:
         plane = fitted_plane(tips)
         if not plane.flat:
             return None
-        normal, middle = plane.normal, plane.centre
-        upright = bool(abs(normal[2]) < 0.7)
+        normal, upright = plane.normal, bool(abs(plane.normal[2]) < 0.7)
+        # across the face (2, 3), as it looks from where the tool stands: u level and v up, or u along the base's x
+        outward = -normal if plungers.any() and float((plungers @ normal).mean()) > 0 else normal
+        axis = np.array([0.0, 0.0, 1.0] if upright else [1.0, 0.0, 0.0])
+        along = axis - (outward @ axis) * outward
+        along /= np.linalg.norm(along)
+        across = np.array([np.cross(along, outward), along] if upright else [along, np.cross(outward, along)])
         tilts = np.degrees(np.arccos(np.clip(np.abs(plungers @ normal), 0, 1))) if plungers.any() else np.zeros(0)
         return Places(
             tips=tips,
             tilts=tilts,
-            uv=(tips - middle) @ _across_face(normal, plungers, upright).T,
+            uv=(tips - plane.centre) @ across.T,
             residuals=np.concatenate([p.after[rows, 0] for p, rows in zip(self.parts, chosen, strict=True)]),
             held=np.concatenate([np.full(len(rows), p.held) for p, rows in zip(self.parts, chosen, strict=True)]),
             upright=upright,
@@ -370,15 +374,6 @@ def thinned(rows: Rows, most: int) -> Rows:
     return rows[np.unique(np.linspace(0, len(rows) - 1, most).astype(np.intp))]
 
 
-def _part(calibration: Calibration, bound: BoundProblem, number: int, *, held: bool) -> Part:
-    count, own = len(bound.samples[number]), bound.sample_rows(number)
-    pair = calibration.heldout_x if held else (calibration.before.x, calibration.used_x)
-    drawn = bound.leading[own].reshape(count, -1)[0] if count else slice(None)  # pictures have one unit
-    before, after = (bound.plain_residual(x)[own].reshape(count, -1)[:, drawn] for x in pair)
-    weight = np.ones(count) if held else calibration.result.weights[own].reshape(count, -1).min(axis=1)
-    return Part(bound, number, held, pair[1], before, after, bound.blocks[number].noise[:, drawn], weight)
-
-
 def _tips_and_plungers(part: Part, rows: Rows) -> tuple[Array, Array]:
     """Tips (k, 3; mm) of some rows, and directions of the plunger (k, 3), zero where there is none."""
     block = part.bound.blocks[part.instrument]
@@ -389,16 +384,3 @@ def _tips_and_plungers(part: Part, rows: Rows) -> tuple[Array, Array]:
         return tips, np.zeros_like(tips)
     (plungers,) = block.model.batch("plunger")(*inputs)
     return tips, plungers
-
-
-def _across_face(normal: Array, plungers: Array, upright: bool) -> Array:
-    """Directions u and v (2, 3) on a face, as it looks from where the tool stands."""
-    if plungers.any() and float((plungers @ normal).mean()) > 0:
-        normal = -normal
-    if upright:
-        v = np.array([0.0, 0.0, 1.0]) - normal[2] * normal
-        v /= np.linalg.norm(v)
-        return np.array([np.cross(v, normal), v])
-    u = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
-    u /= np.linalg.norm(u)
-    return np.array([u, np.cross(normal, u)])

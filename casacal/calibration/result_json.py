@@ -1,170 +1,455 @@
-"""result.json and its parts: what other tools read of a calibration or of a simulated truth."""
+"""result.json of a calibration or of a simulated truth: what other tools read, part by part; rows beside a truth."""
 
 from __future__ import annotations
 
-import csv
-import io
+import logging
 import math
+import os
+import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from casacal.calibration import result_parts as parts
-from casacal.calibration.calibration import Calibration
+import numpy as np
+
+from casacal.calibration.calibration import Calibration, parts_of
+from casacal.calibration.motion import effect_keys, tip_error
 from casacal.calibration.verdict import WithVerdict, warnings
 from casacal.data.repeats import listing
-from casacal.data.samples import Measurements
+from casacal.data.samples import Measurements, Samples, write_samples
+from casacal.deployment.as_data import problem_data
 from casacal.deployment.result import Verdict
-from casacal.deployment.result_file import sealed
-from casacal.files import MADE, together, write_json, write_text
-from casacal.fit.bound_problem import BoundProblem
+from casacal.deployment.result_file import SCHEMA, sealed
+from casacal.effects.effect import effects_of
+from casacal.errors import CasacalError
+from casacal.files import side_by_side, write_json
+from casacal.fit.arm_alone import arm_alone
+from casacal.fit.bound_problem import REPEATABILITY, BoundProblem, bind, without_joints
+from casacal.fit.least_squares import Result, Status
 from casacal.model.problem_file import ProblemFile
-from casacal.uncertainty.identifiability import correlated_pairs
-from casacal.values import Box
+from casacal.model.term import Site
+from casacal.public import __version__
+from casacal.uncertainty.identifiability import correlated_pairs, known_from
+from casacal.uncertainty.tip_error import without_rigid, workspace_joints
+from casacal.values import Array
+from casacal.wording import listed, mm
 
 if TYPE_CHECKING:
-    from casacal.calibration.earlier import EarlierResult
+    from casacal.simulation.simulate import Simulation
 
-FILES = ("report.html", "result.json", "parameters.csv", "residuals.png", "convergence.png")
-"""Files that a calibration writes, most read first."""
-PLACED = (*(name for name in FILES if name != "result.json"), "result.json")
-"""These files in the order of placing: result.json last, so that where it stands all stand."""
+_LOG = logging.getLogger("casacal")
 
 
 def calibration_document(
     calibration: WithVerdict, source: ProblemFile | None = None, *, folder: Path | None = None
 ) -> dict[str, Any]:
     """The whole of result.json for a calibration; paths are relative to the folder that it will stand in, if any."""
+    found, cures, reference = calibration.identifiability, iter(calibration.advice), calibration.reference
+    document = found_part(calibration, source, folder=folder)
+    document["metrics"] = calibration.metrics
+    if by := calibration.metrics_by_instrument:
+        document["metrics_by_instrument"] = by
+    document["leave_one_face_out"] = [{**asdict(face), "ratio": face.ratio} for face in calibration.left_out]
+    document["identifiability"] = {
+        **_picked(found, "unknowns", "rank", "condition", "singular_values"),
+        "null": [{**_picked(d, "kind", "words", "tip_mm", "structural"), "cure": next(cures)} for d in found.null],
+        "weak": [{**_picked(d, "words", "singular_value", "tip_mm"), "cure": next(cures)} for d in found.weak],
+    }
+    document["cures"] = [
+        _picked(cure, "words", "touches", "expected_rms_mm", "recommended") for cure in calibration.cures
+    ]
+    document["dial_errors"] = [
+        _picked(error, "key", "words", "chance", "size", "unit", "shown") for error in calibration.dial_errors
+    ]
+    document["trusted_constants"] = [asdict(each) for each in calibration.leverages]
     pairs = correlated_pairs(calibration.covariance, calibration.seen.names)
-    return sealed(
-        {
-            **found_part(calibration, source, folder=folder),
-            "metrics": calibration.metrics,
-            **({"metrics_by_instrument": by} if (by := calibration.metrics_by_instrument) else {}),
-            "leave_one_face_out": [{**asdict(face), "ratio": face.ratio} for face in calibration.left_out],
-            "identifiability": parts.identifiability_part(calibration),
-            "cures": [
-                parts.picked(cure, "words", "touches", "expected_rms_mm", "recommended") for cure in calibration.cures
-            ],
-            "dial_errors": [
-                {**parts.picked(error, "key", "words", "chance", "size", "unit"), "shown": error.shown}
-                for error in calibration.dial_errors
-            ],
-            "trusted_constants": [asdict(each) for each in calibration.leverages],
-            "correlations": [{"names": [one, two], "value": value} for one, two, value in pairs],
-            "warnings": warnings(calibration.unjudged),
-            "prior_moves": asdict(calibration.prior_moves),
-            "set_aside": [asdict(finding) for finding in calibration.aside],
-            "down_weighted_lines": calibration.down_weighted,
-            **parts.constraints_part(calibration),
-            "reference": parts.reference_part(calibration.reference),
+    document["correlations"] = [{"names": [one, two], "value": value} for one, two, value in pairs]
+    document["warnings"] = warnings(calibration.unjudged)
+    document["prior_moves"] = asdict(calibration.prior_moves)
+    document["set_aside"] = [asdict(finding) for finding in calibration.aside]
+    document["down_weighted_lines"] = calibration.down_weighted
+    document |= _constraints(calibration)
+    document["reference"] = (
+        None
+        if reference is None
+        else {
+            **_picked(reference, "solver", "cost", "relative_gap"),
+            "kkt": reference.result.kkt,
+            "iterations": reference.result.steps,
         }
     )
+    return sealed(document)
 
 
 def found_part(
     calibration: WithVerdict, source: ProblemFile | None = None, *, folder: Path | None = None
 ) -> dict[str, Any]:
     """The part of result.json that other tools rely on; the rest is for people and takes longer to compute."""
-    result, fit, verdict, denied = calibration.result, calibration.fit, calibration.verdict, calibration.denied
-    return {
-        **parts.head_of(source or calibration.source, result, calibration.seed, fit.backend, folder),
-        "verdict": asdict(verdict),
-        "data": {
-            "file": parts.relative_to(folder, calibration.samples.file),
-            "sha256": calibration.samples.sha256,
-            "samples": len(calibration.samples),
-            "heldout": 0 if calibration.heldout is None else len(calibration.heldout.measured),
-            "heldout_by": calibration.heldout_by,
-            "fitted": len(fit.measured),
-            **_fitted_rows(fit, Measurements.of(calibration.samples), folder, calibration.earlier),
-            "set_aside": len(calibration.aside_lines),
-            "copies": calibration.copies,
-        },
-        **parts.earlier_part(calibration, folder),
-        "cost": result.cost,
-        "mirror_image": None if denied or (image := calibration.mirror_image) is None else asdict(image),
-        "parameters": parts.parameter_rows(calibration),
-        **parts.geometry(fit, calibration.unjudged.used_x),
-        "tip": None if denied else _tip(calibration),
-        "noise": parts.noise_part(calibration.unjudged),
-        "discrepancy": parts.discrepancy_part(calibration),
-        **parts.spreads(None if denied else calibration.covariance, calibration.seen.names, fit),
-        **parts.closing(result, calibration.seconds),
-    }
-
-
-def _tip(calibration: Calibration) -> dict[str, Any]:
-    """The tip error to expect: after, before, and from the samples alone; and that of the flange's origin."""
+    result, fit, denied, samples = calibration.result, calibration.fit, calibration.denied, calibration.samples
     (before, now), (alone, unseen) = calibration.tip_std, calibration.tip_std_without_prior
     drawn, flange = calibration.flange_std
     tip = {"expected_rms_mm": now, "prior_rms_mm": before, "without_prior_rms_mm": alone, "unseen": unseen}
-    return {**tip, "flange_expected_rms_mm": flange, "flange_prior_rms_mm": drawn}
+    return {
+        **head_of(source or calibration.source, result, calibration.seed, fit.backend, folder),
+        "verdict": asdict(calibration.verdict),
+        "data": {
+            "file": relative_to(folder, samples.file),
+            "sha256": samples.sha256,
+            "samples": len(samples),
+            "heldout": 0 if calibration.heldout is None else len(calibration.heldout.measured),
+            "heldout_by": calibration.heldout_by,
+            "fitted": len(fit.measured),
+            **_fitted_rows(calibration, folder),
+            "set_aside": len(calibration.aside_lines),
+            "copies": calibration.copies,
+        },
+        **_earlier(calibration, folder),
+        "cost": result.cost,
+        "mirror_image": None if denied or (image := calibration.mirror_image) is None else asdict(image),
+        "parameters": parameter_rows(calibration),
+        **geometry(fit, calibration.unjudged.used_x),
+        "tip": None if denied else {**tip, "flange_expected_rms_mm": flange, "flange_prior_rms_mm": drawn},
+        "noise": noise_part(calibration.unjudged),
+        "discrepancy": _discrepancy(calibration),
+        **spreads(None if denied else calibration.covariance, calibration.seen.names, fit),
+        **closing(result, calibration.seconds),
+    }
 
 
-def _fitted_rows(
-    fit: BoundProblem, measured: Measurements, folder: Path | None, earlier: EarlierResult | None
-) -> dict[str, Any]:
+def _fitted_rows(calibration: Calibration, folder: Path | None) -> dict[str, Any]:
     """The rows that were fitted, to know them again; of several instruments by name, each with its file.
 
     With those of an earlier result: they tell the same arm, and are not fresh for this one either.
     """
-    if len(measured.sets) == 1:
-        listed = listing(fit.samples[0], fit.problem.layout())
-        before = None if earlier is None else earlier.fitted_rows
-        if before is not None and before["columns"] == listed["columns"]:
-            values = [*before["values"], *listed["values"]]
-            listed = {**listed, "rows": before["rows"] + listed["rows"], "values": values}
-        return {"fitted_rows": listed}
-    sets = {
-        name: {
-            "file": parts.relative_to(folder, some.file),
-            "sha256": some.sha256,
-            "samples": len(some),
-            "fitted": len(fit.samples[i]),
-            "fitted_rows": listing(fit.samples[i], fit.problem.layout(i)),
+    fit, measured, earlier = calibration.fit, Measurements.of(calibration.samples), calibration.earlier
+    rows = [listing(some, fit.problem.layout(i)) for i, some in enumerate(fit.samples)]
+    if len(rows) > 1:
+        sets = {
+            name: {
+                "file": relative_to(folder, some.file),
+                "sha256": some.sha256,
+                "samples": len(some),
+                "fitted": len(fit.samples[i]),
+                "fitted_rows": rows[i],
+            }
+            for i, (name, some) in enumerate(zip(measured.names, measured.sets, strict=True))
         }
-        for i, (name, some) in enumerate(zip(measured.names, measured.sets, strict=True))
-    }
-    return {"instruments": sets}
+        return {"instruments": sets}
+    own, before = rows[0], None if earlier is None else earlier.fitted_rows
+    if before is not None and before["columns"] == own["columns"]:
+        own = {**own, "rows": before["rows"] + own["rows"], "values": [*before["values"], *own["values"]]}
+    return {"fitted_rows": own}
 
 
-def write_calibration(
-    calibration: WithVerdict, folder: Path, *, command: str | None = None, box: Box | None = None
-) -> list[Path]:
-    """Write report.html, result.json, parameters.csv and pictures into a folder.
+def _fitted_columns(calibration: Calibration, *, amounts: bool = False) -> dict[str, Array]:
+    """Values over all fitted rows of each column that drives a corrected effect: as it tells it, or by amounts."""
+    problem, found = calibration.fit.problem, dict[str, list[Array]]()
+    for instrument, block in zip(problem.instruments, calibration.fit.blocks, strict=True):
+        for effect in effects_of(problem):
+            if effect.key in calibration.told:
+                values = (effect.amounts if amounts else effect.told)(Site(problem.robot, instrument), block.samples)
+                for name, some in values.items():
+                    found.setdefault(name, []).append(some)
+    return {name: np.concatenate(parts) for name, parts in found.items()}
 
-    folder: made where it does not exist. command: the command line that reproduces it, for the report, if there was
-    one. box: where the arm will work, mm in the base frame, for the report. Returns their paths.
+
+def _without_columns(calibration: Calibration) -> float:
+    """Expected tip error, mm RMS over the workspace, where those columns are missing and stand at their means.
+
+    Root of tip_std^2 plus the mean square motion of the tip by one standard deviation of each column.
     """
-    from casacal.calibration.pictures import save_plots
-    from casacal.calibration.report import report_page
+    block, known = calibration.fit.blocks[0], _fitted_columns(calibration)
+    joints = workspace_joints(calibration.fit.problem.robot)
+    names, x, means = list(block.model.names), calibration.used_x, {name: each.mean() for name, each in known.items()}
+    at = np.array([means.get(name, away) for name, away in zip(names, block.elsewhere, strict=True)])
+    tips = block.tips_where(x, joints, at)
+    squares = calibration.tip_std[1] ** 2
+    for name, values in known.items():
+        moved = block.tips_where(x, joints, at + values.std() * (np.array(names) == name)) - tips
+        squares += 3 * float((without_rigid(moved.ravel(), tips) ** 2).mean())
+    return math.sqrt(squares)
 
-    document = calibration_document(calibration, folder=folder)
-    with together(folder, PLACED) as place:
-        write_text(place / "report.html", report_page(calibration, document, command=command, box=box))
-        write_json(place / "result.json", document)
-        write_text(place / "parameters.csv", _parameters_csv(document["parameters"], calibration.verdict))
-        save_plots(calibration, place)
-        made = [name for name in FILES if (place / name).exists()]
-    return [folder / name for name in made]
+
+def _columns(calibration: Calibration) -> dict[str, Any]:
+    """Columns that drive effects: usual value, mean, spread and range in the fitted rows; empty without any."""
+    block = calibration.fit.blocks[0]
+    pairs = zip(block.model.names, block.usual, block.elsewhere, strict=True)
+    usual = {name: float(value) for name, value, away in pairs if value != away}
+    if not calibration.told:
+        return {"usual": usual} if usual else {}
+    known, amounts = _fitted_columns(calibration), _fitted_columns(calibration, amounts=True)
+    return {
+        "usual": usual,
+        "mean": {name: float(values.mean()) for name, values in known.items()},
+        "spread": {name: float(values.std()) for name, values in known.items()},
+        "range": {
+            name: {"lowest": float(values.min()), "highest": float(values.max())} for name, values in amounts.items()
+        },
+        "further": {each.key: list(each.further) for each in calibration.tried if each.told},
+    }
 
 
-def _parameters_csv(rows: Sequence[Mapping[str, Any]], verdict: Verdict) -> str:
-    """Parameters as CSV, below who wrote it and a verdict that is not simply calibrated."""
-    text = io.StringIO()
-    said = "" if verdict.level == "calibrated" else f". {verdict.words}"
-    text.write(f"# {MADE}{said}\n")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("name", "unit", "nominal", "estimate", "change", "std", "known_from"))
-    for row in rows:
-        change = row["estimate"] - row["nominal"]
-        numbers = (
-            f"{row['nominal']:.12g}",
-            f"{row['estimate']:.12g}",
-            f"{change:.6g}",
-            "" if math.isnan(row["std"]) else f"{row['std']:.6g}",
-        )
-        writer.writerow((row["name"], row["unit"], *numbers, row["known_from"]))
-    return text.getvalue()
+def verdict_lines(calibration: Calibration, verdict: Verdict) -> list[str]:
+    """The verdict in words, and the tip error without the columns that drive effects."""
+    if not calibration.told or verdict.level == "do not use":
+        return [verdict.words]
+    columns = listed([name for each in calibration.tried if each.told for name in each.further])
+    return [
+        verdict.words,
+        f"That is where rows have {columns}, in predict, compensate, verify and the exports c and casadi; without, "
+        f"expect a tip error of {mm(_without_columns(calibration))} RMS.",
+    ]
+
+
+def image_words(calibration: Calibration, verdict: Verdict) -> list[str]:
+    """A sentence on the mirror image that the rows do not exclude; none where there is none, or nothing may be used."""
+    image = None if verdict.level == "do not use" else calibration.mirror_image
+    return [] if image is None else [image.words]
+
+
+def head_of(source: ProblemFile, result: Result, seed: int, backend: str, folder: Path | None) -> dict[str, Any]:
+    """The head of result.json in a folder; of a document that stays in memory where there is none."""
+    files = [{**asdict(file), "path": relative_to(folder, file.path)} for file in source.files]
+    try:
+        arm = problem_data(source.problem)
+    except CasacalError as error:
+        arm = None
+        _LOG.warning("casacal: the result needs its problem file, for it cannot hold the arm: %s", error)
+    return {
+        "schema": SCHEMA,
+        "problem": {
+            "name": source.name,
+            "path": relative_to(folder, source.path),
+            "sha256": source.sha256,
+            "files": files,
+        },
+        "arm": arm,
+        "method": result.method,
+        "status": result.message,
+        "converged": result.converged,
+        "seed": seed,
+        "backend": backend,
+    }
+
+
+def _earlier(calibration: Calibration, folder: Path | None) -> dict[str, Any]:
+    """The earlier result, and how the rows agree with it; empty where the drawing was the prior."""
+    earlier = calibration.earlier
+    if earlier is None:
+        return {}
+    return {
+        "earlier": {
+            "result": relative_to(folder, earlier.file),
+            "sha256": earlier.sha256,
+            "verdict": asdict(earlier.verdict),
+            "expected_rms_mm": earlier.expected_mm,
+            "standing": earlier.standing,
+            "loosened": dict(earlier.loosened),
+            "chance": calibration.earlier_chance,
+            "left_out_lines": earlier.left_out,
+        }
+    }
+
+
+def relative_to(folder: Path | None, file: str) -> str:
+    """Path of a file relative to a folder; unchanged where there is no folder, no such file, or no way between."""
+    if folder is None or not file or not Path(file).exists():
+        return file
+    try:
+        return Path(os.path.relpath(Path(file).resolve(), folder.resolve())).as_posix()
+    except ValueError:  # another drive
+        return Path(file).resolve().as_posix()
+
+
+def parameter_rows(calibration: Calibration) -> list[dict[str, Any]]:
+    """One entry per number of a parameter: name, unit, nominal, estimate, std, known_from."""
+    fit = calibration.fit
+    known = [known_from(*each) for each in zip(calibration.result.std.tolist(), fit.prior_std.tolist(), strict=True)]
+    return rows_of(fit, calibration.used_x, calibration.std, known)
+
+
+def rows_of(bound: BoundProblem, x: Array, stds: Array, known: Sequence[str]) -> list[dict[str, Any]]:
+    """One entry per parameter at x (n,), with its standard deviation (n,) and what it is known from."""
+    rows = []
+    for name, unit, nominal, j in bound.parameters():
+        if j is None:
+            row = {"estimate": nominal, "std": 0.0, "known_from": "held"}
+        else:
+            row = {"estimate": nominal + float(x[j]), "std": float(stds[j]), "known_from": known[j]}
+        rows.append({"name": name, "unit": unit, "nominal": nominal, **row})
+    return rows
+
+
+def noise_part(calibration: Calibration) -> dict[str, Any]:
+    """Found over stated noise with its 95 % interval, and noise as stated and as used, a row's median, by face.
+
+    `without_joints_mm` is of what was used without that which the joints do not repeat, where that was told apart.
+    """
+    found, fit = calibration.noise, calibration.fit
+    scales = {"stated_mm": {}, "used_mm": fit.scale, "without_joints_mm": without_joints(fit.scale)}
+    noise = {key: fit.with_noise(scale).noise for key, scale in scales.items()}
+    faces = {name: fit.residuals_of(rows) for name, rows in fit.faces.rows().items()}
+    units = parts_of(fit)
+    if any(instrument.blocks for instrument in fit.problem.instruments):  # each in a unit of its own
+        faces = fit.noise_labels.rows()
+    return {
+        "ratio": found.ratio,
+        "low": found.low,
+        "high": found.high,
+        "repeats": None if found.repeats is None else asdict(found.repeats),
+        "joints_rad": fit.scale.get(REPEATABILITY, 0.0),
+        "by_face": {
+            name: {key: float(np.median(each[rows])) for key, each in noise.items()}
+            | ({} if units.get(name, "mm") == "mm" else {"unit": units[name]})  # of what is no length
+            for name, rows in faces.items()
+        },
+    }
+
+
+def _discrepancy(calibration: Calibration) -> dict[str, Any] | None:
+    """Non-geometric effects: sizes, joint covariance of all that moves the tip, columns that drive an effect.
+
+    None where geometry was taken for all there is.
+    """
+    fit, motion = calibration.fit, calibration.motion
+    if not any(fit.beside):
+        return None
+    moves = {effect.key: effect.moves for effect in fit.problem.terms}
+    effects = [
+        {**asdict(each), "shown": each.shown, "moves": moves[each.key], "times": each.size / each.expected_size}
+        for each in calibration.effect_sizes
+    ]
+    places = {name: j for j, name in enumerate(fit.names)}
+    unknowns = [
+        {"name": name, "effect": effect, "value": float(calibration.result.x[places[name]])}
+        for name, effect in zip(motion.arm.names, effect_keys(motion.arm), strict=True)
+        if effect
+    ]
+    names, off = list(motion.arm.names), np.zeros(motion.x.size) if motion.off is None else motion.off
+    denied = bool(np.isnan(motion.covariance).any())
+    known = {} if denied else {"covariance_of": names, "off": off, "covariance": motion.covariance}
+    tried = [asdict(each) | {"corrected": each.corrected} for each in calibration.tried]
+    corrected = list(calibration.corrected)
+    parts: dict[str, Any] = {"effects": effects, "tried": tried, "corrected": corrected, "unknowns": unknowns}
+    if calibration.corrected:  # the arm for those who cannot correct an effect, and the tip error to expect of it
+        alone = zip(fit.names, calibration.uncorrected_x, fit.beside, strict=True)
+        parts["without_corrections"] = [{"name": n, "value": float(value)} for n, value, effect in alone if not effect]
+        error = math.nan if denied else tip_error(fit, calibration.result, ())
+        parts["expected_rms_mm_without_corrections"] = error
+    if calibration.told:
+        parts["expected_rms_mm_without_columns"] = math.nan if denied else _without_columns(calibration)
+    return {**parts, **known, **_columns(calibration)}
+
+
+def _picked(of: object, *names: str) -> dict[str, Any]:
+    """Some attributes of a value, by name."""
+    return {name: getattr(of, name) for name in names}
+
+
+def _constraints(calibration: Calibration) -> dict[str, Any]:
+    """Constraints of the problem: their range, where the estimate is in it, and what holds it; empty without any."""
+    known, result = calibration.fit.constraints, calibration.result
+    if known is None:
+        return {}
+    values = dict(zip(known.names, known.evaluate(result.x)[0].tolist(), strict=True))
+    pulls = {name: {"multiplier": result.multipliers[name], "active": name in result.active} for name in known.names}
+    rows = [each for each in calibration.fit.problem.exact if each.name in values]
+    keys = ("name", "unit", "low", "high")
+    return {"constraints": [{**_picked(r, *keys), "value": values[r.name], **pulls[r.name]} for r in rows]}
+
+
+def geometry(bound: BoundProblem, x: Array) -> dict[str, Any]:
+    """Planes, directions and frames at x, the unknowns of the geometry, and nominal values from the samples."""
+    found: dict[str, dict[str, Any]] = {"planes": {}, "directions": {}, "frames": {}}
+    for slot in bound.slots:
+        kind, shown = slot.unknown.shown(slot.nominal, x[slot.first : slot.first + slot.unknown.size])
+        if kind in found:
+            name = slot.name
+            if kind == "planes":  # by the label of its face, after the name of its instrument where there are several
+                of, _, key = slot.key.rpartition(".")
+                face = slot.label if slot.label is not None else "" if of else key
+                name = f"{of} {face}".strip() if len(bound.samples) > 1 else face
+            found[kind][name] = shown
+    rows = zip(bound.names, bound.units, x, bound.beside, strict=True)
+    unknowns = [{"name": name, "unit": unit, "value": value} for name, unit, value, effect in rows if not effect]
+    proposed = {slot.name: slot.nominal for slot in bound.slots if slot.unknown.nominal is None}
+    return {**found, "unknowns": unknowns, "proposed": proposed}
+
+
+def closing(result: Result, seconds: Mapping[str, float]) -> dict[str, Any]:
+    """Effort, time and versions."""
+    return {
+        "evaluations": {"residual_rows": result.residual_rows, "jacobian_rows": result.jacobian_rows},
+        "seconds": dict(seconds),
+        "versions": {
+            "casacal": __version__,
+            "casadi": metadata.version("casadi"),
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+        },
+    }
+
+
+def spreads(covariance: Array | None, names: Sequence[str], bound: BoundProblem) -> dict[str, Any]:
+    """The covariance, with the names of its rows where unknowns of single labels have none in it."""
+    some = {} if len(names) == bound.unknowns else {"covariance_of": list(names)}
+    return {**some, "covariance": covariance}
+
+
+def write_simulation(
+    simulation: Simulation, source: ProblemFile, path: Path, kept: tuple[Path, Samples] | None = None
+) -> list[Path]:
+    """Write simulated samples, and the truth as x.truth.json beside x.csv, all or nothing; returns the paths.
+
+    kept: rows of the same simulation that are not for fitting, and the file for them in the same folder.
+    """
+    measured, truth_path = simulation.measured, path.with_suffix(".truth.json")
+    targets = sample_paths(path, source.problem.names)
+    if path.exists() and not path.is_file():
+        raise CasacalError(f"'{path}' is no file, and the truth goes beside it", "Name a file, such as x.csv")
+    comments = [f"simulated by casacal {__version__} for {source.name}, seed {simulation.seed}: not a measurement"]
+    further = [] if kept is None else [kept]
+    with side_by_side([truth_path, *(place for place, _ in further), *targets]) as (answer, *places):
+        for place, (_, rows) in zip(places, further, strict=False):
+            write_samples(place, source.problem.layout(), rows, comments)
+        written = []
+        for i, (place, some) in enumerate(zip(places[len(further) :], measured.sets, strict=True)):
+            write_samples(place, source.problem.layout(i), some, comments)
+            written.append(replace(source.problem.read(place, i), file=str(targets[i])))
+        document = truth_document(simulation, source, bind(source.problem.without_terms, *written), path.parent)
+        document["data"]["file"] = " and ".join(target.name for target in targets)
+        write_json(answer, sealed(document))
+    return [*targets, *(place for place, _ in further), truth_path]
+
+
+def sample_paths(path: Path, names: Sequence[str]) -> list[Path]:
+    """Where the samples of each instrument go: x.csv of an only one, x-dial.csv and so on of several."""
+    return [path] if len(names) == 1 else [path.with_name(f"{path.stem}-{name}{path.suffix}") for name in names]
+
+
+def truth_document(simulation: Simulation, source: ProblemFile, bound: BoundProblem, folder: Path) -> dict[str, Any]:
+    """The truth behind simulated samples, in the shape of result.json, but for a verdict, fitted rows and the seal."""
+    x, samples = simulation.truth(bound), bound.measured
+    truth = Result("truth", bound, x, Status.TRUTH, {}, steps=0, residual_rows=0, jacobian_rows=0)
+    rows = rows_of(bound, x, np.zeros(bound.unknowns), ["simulation"] * bound.unknowns)
+    names = arm_alone(bound, x)[0].names
+    data = {
+        "file": relative_to(folder, samples.file),
+        "sha256": samples.sha256,
+        "samples": len(samples),
+        "heldout": 0,
+    }
+    return {
+        **head_of(source, truth, simulation.seed, bound.backend, folder),
+        "data": data,
+        "cost": truth.cost,
+        "parameters": [{**row, "known_from": "simulation"} for row in rows],
+        **geometry(bound, x),
+        "metrics": None,
+        "identifiability": None,
+        **spreads(np.zeros((len(names), len(names))), names, bound),
+        "reference": None,
+        **closing(truth, {"build": 0.0, "solve": 0.0, "total": 0.0}),
+    }

@@ -46,22 +46,10 @@ class AsArm(ABC):
         std: bool = False,
         force: bool = False,
     ) -> Prediction:
-        """Where the calibrated arm is.
+        """Where the calibrated arm is: positions (N, 3) in mm and unit quaternions (N, 4; w, x, y, z), base frame.
 
-        Args:
-            q: joint values (n,) or (N, n) in rad and mm, or a frame, file or `Samples` with the columns of samples.
-            frame: "flange" is `robot.pose`, "tip" where the instrument touches.
-            nominal: the arm as drawn in place of the calibrated one.
-            std: whether to add standard deviations, apart from the position of the base.
-            force: take a result whose verdict is not to use it.
-
-        Returns:
-            Positions (N, 3) in mm and unit quaternions (N, 4; w, x, y, z) in the base frame, and standard deviations
-            (N,) in mm where asked for. The quaternions are those of the flange for both frames.
-
-        Raises RefusedResultError for a result that is not to be used, unless forced, and CasacalError for joint values
-        that do not fit, and as `casacal.deployment.predict` does.
-
+        q: joint values (n,) or (N, n) in rad and mm, or a frame, file or `Samples` with the columns of samples. frame,
+        nominal, std, force, what is returned and raised: as for `casacal.deployment.predict.predict`.
         """
         from casacal.deployment.predict import predict
 
@@ -77,19 +65,9 @@ class AsArm(ABC):
     ) -> Compensation:
         """Joint targets for which the calibrated arm takes the poses that the nominal one was meant to take.
 
-        Args:
-            targets: joint values (N, n) in rad and mm, poses (N, 4, 4) in mm, or a frame or file with the columns that
-                `casacal compensate` reads.
-            frame: what poses are of.
-            largest: joint motion (rad, or mm over 300) beyond which a row counts as singular, not as reached.
-            force: take a result whose verdict is not to use it.
-
-        Returns:
-            One entry per target (N): joint values (N, n) in rad and mm, how each ended, what the calibrated arm misses
-            there in mm and rad, and the standard deviation of its position, mm.
-
-        Raises CasacalError for targets that do not fit, and as `casacal.compensate` does.
-
+        targets: joint values (N, n) in rad and mm, poses (N, 4, 4) in mm, or a frame or file with the columns that
+        `casacal compensate` reads. frame, largest (by default as there), force, what is returned and raised: as for
+        `casacal.deployment.compensate.compensate`.
         """
         return self._compensated(targets, frame, largest, force)
 
@@ -144,14 +122,10 @@ class AsArm(ABC):
     def pose_function(self, *, nominal: bool = False, free: bool = False, force: bool = False) -> ca.Function:
         """Function q (n; rad, mm) -> flange pose (4x4; mm) for SX, MX, `casadi.Opti` and code generation.
 
-        Args:
-            nominal: the arm as drawn in place of the calibrated one.
-            free: the robot's parameters are inputs too, by name: `pose(**calibration.values(), q=q)["pose"]`.
-            force: take a result whose verdict is not to use it; the function's name then says so.
-
-        Derivatives are exact, as those of every `casadi.Function`. Raises CasacalError for nominal and free together,
-        and RefusedResultError for a result that is not to be used, unless forced.
-
+        nominal: the arm as drawn. free: the robot's parameters are inputs too, by name:
+        `pose(**calibration.values(), q=q)["pose"]`. force: take a result whose verdict is not to use it; the function's
+        name then says so. Derivatives are exact. Raises CasacalError for nominal and free together, RefusedResultError
+        for a result that is not to be used, unless forced.
         """
         from casacal.deployment.functions import pose_function
 
@@ -172,8 +146,7 @@ class AsArm(ABC):
     ) -> dict[str, Array]:
         """Values of the parameters by name, mm and rad, as functions with free parameters take them.
 
-        frame: "flange" for `pose_function`, "tip" for `tip_function`. nominal: as drawn. force: take a result whose
-        verdict is not to use it; else RefusedResultError is raised for such a one.
+        frame: "flange" for `pose_function`, "tip" for `tip_function`. nominal, force, errors: as for these.
         """
         from casacal.deployment.functions import values_of
 

@@ -1,4 +1,8 @@
-"""Single rows that do not belong: found by studentised residuals, and set aside where they are few, each with why."""
+"""Rows that do not belong: single ones, set aside where few, and those of an instrument that others contradict.
+
+Single rows are found by studentised residuals, each with why; instruments by what they share, and by what each expects
+of another's rows.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casacal.calibration.finding import Finding
+from casacal.calibration.finding import Finding, freed_of_unknowns, weighted
 from casacal.data.samples import Samples
 from casacal.errors import CasacalError, SamplesError
 from casacal.fit.bound_problem import BoundProblem, bind, each_alone, times
@@ -17,13 +21,17 @@ from casacal.fit.least_squares import Result
 from casacal.fit.lm import lm
 from casacal.fit.nominal import nominal_sight, nominal_tips
 from casacal.kernels.losses import huber
+from casacal.linalg import svd
 from casacal.model.geometry import fitted_plane, rigid_fit
 from casacal.model.instrument import readings_within
 from casacal.model.problem import Problem
-from casacal.uncertainty.figures import leverages
+from casacal.uncertainty.figures import chance_beyond, effective_unknowns, leverages
+from casacal.uncertainty.fresh_rows import spanned
 from casacal.uncertainty.moves import prior_scatter
+from casacal.uncertainty.noise import FEWEST, found_noise
+from casacal.uncertainty.tip_error import spread_rms, tip_rms, without_rigid, workspace_joints
 from casacal.values import Array, Index, Rows
-from casacal.wording import counted, figures
+from casacal.wording import chance, counted, figures, listed, mm, sized
 
 FEWEST_OF_A_FACE = 12  # rows of a face that can tell how rough it is
 WORTH_A_LOOK = 0.05
@@ -32,6 +40,29 @@ REGION = 0.1  # part of a face's spread of touches within which these are of one
 ALONG = math.cos(math.radians(10))  # of the angle up to which plungers stand alike
 SHARED_BY_FEW = 15.0  # standard deviations beyond which a row is wrong even where its neighbours are off as well
 CHANCE = 1e-4  # chance that a clean set has any row called an outlier (Bonferroni)
+FLIPPED_ROWS = "orientation flipped"
+FLIPPED = 0.3  # chord of the least turn by which the two poses of a marker differ
+TURNS_MM = (1.0, 0.5, 2.54, 0.2)
+"""Length that one turn of a pointer shows, by dials on sale; several turns are only looked for of the first."""
+SHORT_TRAVEL = 2.0  # travel (mm) up to which a dial has turns of less than half a millimetre
+MOST_TURNS = 3
+SURE = 4.0  # standard deviations within which a reading must then fit
+SMALL = 1e-4  # step of the finite difference, mm
+MOST = 0.1  # part of the rows that may be set aside; where more are wrong, it is not single rows that are
+ROUNDS = 3  # fits without the rows found before: large outliers hide small ones
+WORTH_ANOTHER_LOOK = 10.0
+"""Standard deviations from a fit without it up to which a row is asked once more whether it belongs."""
+SUBSETS = 300  # random planes through three tips tried for the least median of squares
+JUDGES = 5_000  # tips, drawn at random, whose median judges them
+GROSS = 8.0  # times the robust scatter beyond which a nominal tip is not on its plane at all
+ONES_OWN = 2  # rows whose joints may be another row's, pasted or shifted by one, rather than their labels wrong
+MOST_STRAYS = 0.3  # beyond this fraction of the rows, it is not single rows that are wrong
+BY_CHANCE = 1e-4  # chance of a difference, and more, of what is one and the same
+OBSERVABLE = 1e-3  # whitened effect of a difference as large as the prior's, below which rows do not see it
+JUDGED_ROWS = 4096  # rows, evenly over all, that show whether instruments agree
+HELD = 1e-9  # part of a row's variance below which nothing but the row itself says where it is
+UNWEIGHTED = 1e6  # times its noise at which an instrument's rows say nothing
+MOVED = 2.0  # tip errors that the others promise, by which rows may move the tip before they contradict them
 
 
 @dataclass(frozen=True)
@@ -169,16 +200,6 @@ def _turned_alone(bound: BoundProblem, result: Result, rows: Sequence[int], most
     return f"{angles.min():.0f} degrees" if np.ptp(angles) < 1 else f"{angles.min():.0f} to {angles.max():.0f} degrees"
 
 
-FLIPPED_ROWS = "orientation flipped"
-FLIPPED = 0.3  # chord of the least turn by which the two poses of a marker differ
-TURNS_MM = (1.0, 0.5, 2.54, 0.2)
-"""Length that one turn of a pointer shows, by dials on sale; several turns are only looked for of the first."""
-SHORT_TRAVEL = 2.0  # travel (mm) up to which a dial has turns of less than half a millimetre
-MOST_TURNS = 3
-SURE = 4.0  # standard deviations within which a reading must then fit
-SMALL = 1e-4  # step of the finite difference, mm
-
-
 def lost_turns(
     bound: BoundProblem, result: Result, rows: Sequence[int], scale: float, i: int = 0
 ) -> dict[tuple[float, int], list[int]]:
@@ -209,18 +230,6 @@ def lost_turns(
     return found
 
 
-MOST = 0.1  # part of the rows that may be set aside; where more are wrong, it is not single rows that are
-ROUNDS = 3  # fits without the rows found before: large outliers hide small ones
-
-WORTH_ANOTHER_LOOK = 10.0
-"""Standard deviations from a fit without it up to which a row is asked once more whether it belongs."""
-SUBSETS = 300  # random planes through three tips tried for the least median of squares
-JUDGES = 5_000  # tips, drawn at random, whose median judges them
-GROSS = 8.0  # times the robust scatter beyond which a nominal tip is not on its plane at all
-ONES_OWN = 2  # rows whose joints may be another row's, pasted or shifted by one, rather than their labels wrong
-MOST_STRAYS = 0.3  # beyond this fraction of the rows, it is not single rows that are wrong
-
-
 def gross(bound: BoundProblem, *, drawn: BoundProblem | None = None) -> tuple[Rows, tuple[Finding, ...]]:
     """Rows (N,) of samples that chance does not explain, and what is wrong with them; none where they are many.
 
@@ -244,35 +253,29 @@ def gross(bound: BoundProblem, *, drawn: BoundProblem | None = None) -> tuple[Ro
         if not found.any():
             break
         bad[np.flatnonzero(~bad)[found]] = True
-        _refuse_contradiction(bound, bad)
+        # too many for single rows anyway: none is set aside, and the check finds the cause
+        several = len(bound.samples) > 1 and bad.sum() <= MOST * len(bad)
+        for name, some, rows in zip(bound.problem.names, bound.samples, bound.measured.starts, strict=False):
+            off = int(bad[rows : rows + len(some)].sum())
+            if several and 2 * off >= len(some):
+                what = f"the instruments contradict each other: {off} of {counted(len(some), 'row')} of {name}"
+                fix = f"Check unit, sign, frame and tool of {name}, and what is shared with it; or leave its rows out"
+                raise SamplesError(some.file, f"{what} lie far off where the others put the arm", fix)
     if (bad & ~stray).any():
         bad = _taken_back(bound, bad, stray)
     rest = _without(bound, bad)
     if rest is not None and any(bound.beside):  # where much is known beside the geometry, others may expect a row so
-        judged, result = _judged(rest, bound)
-        bad &= stray | (_sizes(judged, result) > _most(judged))
+        *_, sizes, most = _judged(rest, bound)
+        bad &= stray | (sizes > most)
         rest = _without(bound, bad)
     if rest is None:
         return none, ()
     if (bad & ~stray).any():
-        judged, result = _judged(rest, bound)
+        judged, result, sizes, most = _judged(rest, bound)
         rows = np.flatnonzero(bad & ~stray)
-        worst = float(_sizes(judged, result)[rows].max())
-        findings += single_rows(judged, result, Outliers(tuple(rows.tolist()), worst, _most(judged), 1.0))
+        odd = Outliers(tuple(rows.tolist()), float(sizes[rows].max()), most, 1.0)
+        findings += single_rows(judged, result, odd)
     return bad, tuple(findings)
-
-
-def _refuse_contradiction(bound: BoundProblem, bad: Rows) -> None:
-    """Raise SamplesError where half the rows of one of several instruments do not belong: these are not single rows."""
-    if bad.sum() > MOST * len(bad):  # too many for single rows anyway: none is set aside, and the check finds the cause
-        return
-    starts = np.cumsum([0, *map(len, bound.samples)])
-    for k, (name, some) in enumerate(zip(bound.problem.names, bound.samples, strict=True)):
-        off = int(bad[starts[k] : starts[k + 1]].sum())
-        if len(bound.samples) > 1 and 2 * off >= len(some):
-            what = f"the instruments contradict each other: {off} of {counted(len(some), 'row')} of {name} lie far off"
-            fix = f"Check unit, sign, frame and tool of {name}, and what is shared with it; or leave its rows out"
-            raise SamplesError(some.file, f"{what} where the others put the arm", fix)
 
 
 def _without(bound: BoundProblem, bad: Rows) -> BoundProblem | None:
@@ -305,8 +308,8 @@ def _taken_back(bound: BoundProblem, bad: Rows, stray: Rows) -> Rows:
     rest = _without(bound, bad)
     if rest is None:
         return bad
-    judged, result = _judged(rest, bound)
-    again = bad & ~stray & (_sizes(judged, result) < WORTH_ANOTHER_LOOK)
+    *_, sizes, _ = _judged(rest, bound)
+    again = bad & ~stray & (sizes < WORTH_ANOTHER_LOOK)
     more = _without(bound, bad & ~again)
     if not again.any() or more is None:
         return bad
@@ -316,21 +319,16 @@ def _taken_back(bound: BoundProblem, bad: Rows, stray: Rows) -> Rows:
     return held
 
 
-def _sizes(judged: BoundProblem, result: Result) -> Array:
-    """Largest standardised residual (N,) of each row."""
-    return judged.largest(np.abs(judged.residual(result.x)))
+def _judged(rest: BoundProblem, whole: BoundProblem) -> tuple[BoundProblem, Result, Array, float]:
+    """All rows with the noise that the rest shows, and a fit of the rest alone.
 
-
-def _most(judged: BoundProblem) -> float:
-    """Largest standardised residual that chance explains."""
-    return most_by_chance(judged.rows, judged.rows - judged.beside.count(""))
-
-
-def _judged(rest: BoundProblem, whole: BoundProblem) -> tuple[BoundProblem, Result]:
-    """All rows with the noise that the rest shows, and a fit of the rest alone."""
+    Then the largest standardised residual (N,) of each row, and the largest that chance explains.
+    """
     result = lm(rest)
     noise = 1.4826 * float(np.median(np.abs(rest.residual(result.x))))
-    return rest.on(*whole.samples).with_noise(times(rest.scale, max(noise, 1.0))), result
+    judged = rest.on(*whole.samples).with_noise(times(rest.scale, max(noise, 1.0)))
+    sizes = judged.largest(np.abs(judged.residual(result.x)))
+    return judged, result, sizes, most_by_chance(judged.rows, judged.rows - judged.beside.count(""))
 
 
 def off_their_face(bound: BoundProblem, scatter: float) -> tuple[Rows, list[Finding]]:
@@ -427,3 +425,108 @@ def _median_plane(tips: Array) -> tuple[Array, float]:
     fitted = fitted_plane(tips[near])
     refined = np.array([*fitted.normal, fitted.normal @ fitted.centre])
     return refined, 1.4826 * float(np.median(np.abs(tips @ fitted.normal - refined[3])))
+
+
+def not_the_same(bound: BoundProblem, result: Result) -> list[Finding]:
+    """An error for what is declared as shared and differs between instruments, at the estimate of all their rows.
+
+    An instrument that had one of its own would see it by the derivative of its own rows. The fall of chi-square by such
+    a difference, all unknowns following within their priors, has as many degrees of freedom as directions show.
+    """
+    owners = np.searchsorted(np.cumsum([len(some) for some in bound.samples]), bound.sample_of, side="right")
+    found = []
+    for key, names in bound.problem.shared.items():
+        slots = [slot for slot in bound.slots if slot.key == key and slot.unknown.size]
+        columns = np.array([j for slot in slots for j in slot.columns], dtype=np.intp)
+        if not columns.size or not result.converged:
+            continue
+        scale, slopes = bound.start_std[columns], bound.jacobian(result.x)[:, columns]
+        own = [np.where(owners == bound.problem.number(name), 1.0, 0.0)[:, None] * slopes * scale for name in names[1:]]
+        left, sizes, along = svd(freed_of_unknowns(bound, result, np.hstack(own)))
+        observable = sizes > OBSERVABLE
+        gains = left[:, observable].T @ weighted(bound, result, bound.residual(result.x))
+        if not observable.any() or chance_beyond(float(gains @ gains), float(observable.sum())) > BY_CHANCE:
+            continue
+        apart = (-(along[observable].T @ (gains / sizes[observable]))).reshape(len(names) - 1, -1) * scale
+        label = [name for slot in slots for name in slot.unknown.names(slot.name)]
+        far = np.unravel_index(int(np.argmax(np.abs(apart / scale))), apart.shape)
+        by, unit = abs(float(apart[far])), bound.units[columns[far[1]]]
+        cause = (
+            f"'{key}' is declared as the same for {listed(names)}, and is not: {label[far[1]]} of {names[1 + far[0]]} "
+            f"is "
+            f"{mm(by) if unit == 'mm' else sized(by, unit)} away from that of {names[0]}"
+        )
+        fix = f"Measure again with the same for all, or leave '{key}' out of `shared`: then each has its own"
+        found.append(Finding("error", f"{key} not the same", cause, fix))
+    return found
+
+
+def disagreement(bound: BoundProblem) -> list[Finding]:
+    """An error where the rows of one instrument are not where all others expect them, and the tip follows them.
+
+    A few false rows that agree among themselves may pull the fit to them, so that none looks like an outlier. Each
+    instrument has the noise that it shows by itself: what it errs by alone contradicts no other. Rows that move the tip
+    by no more than the others leave open are no error, whatever chance says.
+    """
+    problem = bound.problem
+    if len(bound.samples) < 2 or not bound.unknowns:
+        return []
+    own = _own_noise(bound)
+    scale = {name: own[name.partition(" ")[0]] for name in bound.noise_labels.names}
+    alike = bound.with_noise(scale).thinned(JUDGED_ROWS)
+    fit = lm(alike)
+    if not fit.converged:
+        return []
+    least, worst = _least_expected(alike, fit.x)
+    if least > BY_CHANCE:
+        return []
+    name, count = problem.names[worst], len(bound.samples[worst])
+    others = {each: UNWEIGHTED if each.partition(" ")[0] == name else scale[each] for each in scale}
+    without = lm(alike.with_noise(others), start=fit.x)
+    joints, instrument = workspace_joints(problem.robot), int(worst == 0)
+    tips, slopes = (f(without.x, joints, instrument) for f in (alike.tips, alike.tip_jacobian))
+    moved = tip_rms(without_rigid((alike.tips(fit.x, joints, instrument) - tips).ravel(), tips))
+    promised = spread_rms(without.covariance, slopes, tips)
+    if not without.converged or not moved > MOVED * promised:
+        return []
+    those = [each for each in problem.names if each != name]
+    cause = (
+        f"{counted(count, 'row')} of {name} {'is' if count == 1 else 'are'} not where {listed(those)} "
+        f"expect{'s' if len(those) == 1 else ''} {'it' if count == 1 else 'them'} ({chance(least)}), and would move "
+        f"the tip by {mm(moved)}, where {mm(promised)} was left open"
+    )
+    fix = f"Check unit, sign, frame, tool and noise of {name}, and what is shared with it; or leave its rows out"
+    return [Finding("error", "instruments contradict each other", cause, fix)]
+
+
+def _least_expected(bound: BoundProblem, x: Array) -> tuple[float, int]:
+    """The instrument whose rows the others expect least at the minimum x (n,), after the chance of rows so far off.
+
+    With e the whitened residuals of its rows and H their part of the hat matrix, e' (1 - H)^-1 e is chi-square where
+    all agree: the residuals that the others predict, weighed by their covariance (Cook and Weisberg 1982).
+    """
+    basis, residual = spanned(np.vstack([bound.jacobian(x), bound.prior_rows])), bound.residual(x)
+    found = list[tuple[float, int]]()
+    for i in range(len(bound.samples)):
+        rows = bound.sample_rows(i)
+        along, sizes, _ = svd(basis[rows])
+        left, pulled = 1.0 - sizes**2, (along.T @ residual[rows]) ** 2
+        judged = left > HELD
+        square = float(residual[rows] @ residual[rows] + (pulled[judged] * sizes[judged] ** 2 / left[judged]).sum())
+        freedom = rows.stop - rows.start - int((~judged).sum())
+        found.append((chance_beyond(square, freedom) if freedom > 0 else 1.0, i))
+    return min(found)
+
+
+def _own_noise(bound: BoundProblem) -> dict[str, float]:
+    """Found over stated noise of each instrument by itself, one or more; of one with too few rows the largest other."""
+    found = dict[str, float]()
+    for alone in each_alone(bound.problem, bound.samples):
+        try:
+            part = bind(alone.problem, alone.samples)
+        except CasacalError:  # it cannot be fitted without the others
+            continue
+        if part.rows - effective_unknowns(part, part.x0) >= FEWEST:
+            found[alone.name] = max(found_noise(part).ratio, 1.0)
+    largest = max(found.values(), default=1.0)
+    return {name: found.get(name, largest) for name in bound.problem.names}

@@ -1,4 +1,4 @@
-"""Terminal text of a calibration: the brief, and the full summary."""
+"""A calibration in words: the brief for the terminal, tables (the report's as well), and the full summary."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import math
 import re
 import shlex
 import textwrap
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
-from casacal.calibration import tables
-from casacal.calibration.calibration import Calibration
-from casacal.calibration.result_parts import image_words, verdict_lines
+import numpy as np
+
+from casacal.calibration.calibration import NOT_NEEDED, Calibration, parts_of
+from casacal.calibration.motion import tip_error
+from casacal.calibration.result_json import image_words, parameter_rows, verdict_lines
 from casacal.calibration.verdict import (
     VERIFY,
     WithVerdict,
@@ -26,11 +28,22 @@ from casacal.data.samples import Measurements
 from casacal.deployment.result import Verdict
 from casacal.errors import CasacalError
 from casacal.fit.methods import minimises
+from casacal.pages.drawing import fixed, shortened, shown_unit
+from casacal.pages.drawing import mm as in_mm
 from casacal.planning.cures import Cure
 from casacal.public import __version__
-from casacal.wording import METRE, chance, counted, figures, listed, lower, mm
+from casacal.uncertainty.identifiability import NullDirection, WeakDirection, correlated_pairs
+from casacal.wording import METRE, capital, chance, counted, figures, listed, lower, mm, sized
 
 WORSE = 1.5  # expected error of the flange over that of the tip from which it is the tip that is worth correcting
+MOST_LINES = 15  # lines of the whole, files written included
+LONGEST = 60  # characters of a face's name
+SHOWN_DIRECTIONS = 6
+SHOWN_PAIRS = 4
+PLANNED = (
+    "casacal plan PROBLEM --after SAMPLES plans such touches; a new face or step goes into the problem file first. "
+    "Figures here use noise and effects as found, those of plan as stated."
+)
 
 
 def next_step(
@@ -110,9 +123,6 @@ def _repair(calibration: Calibration, check: str) -> str:
         return f"run {check}, which looks closer at the samples."
     cure = _best(calibration)
     return f"{cure.words}." if cure is not None else "give every parameter a prior, or hold it with --fix."
-
-
-MOST_LINES = 15  # lines of the whole, files written included
 
 
 def brief(
@@ -213,91 +223,242 @@ def _wrapped(sentences: Sequence[str], width: int) -> list[str]:
     ]
 
 
-SHOWN_DIRECTIONS = 6
-SHOWN_PAIRS = 4
-PLANNED = (
-    "casacal plan PROBLEM --after SAMPLES plans such touches; a new face or step goes into the problem file first. "
-    "Figures here use noise and effects as found, those of plan as stated."
-)
+@dataclass(frozen=True)
+class PrintedTable:
+    """Rows of text under titles; a title that begins with # heads a column of numbers."""
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+    def text(self) -> str:
+        """Lines in columns as wide as they must be, in characters that every terminal has."""
+        titles = [title.removeprefix("#") for title in self.columns]
+        wide = [max(map(len, column)) for column in zip(titles, *self.rows, strict=True)]
+        numbers = [title.startswith("#") for title in self.columns]
+        return "\n".join(
+            "  ".join(
+                f"{cell:>{width}}" if number else f"{cell:<{width}}"
+                for cell, width, number in zip(row, wide, numbers, strict=True)
+            ).rstrip()
+            for row in (titles, *self.rows)
+        ).replace("–", "-")
+
+
+def residual_table(calibration: Calibration) -> PrintedTable:
+    """RMSE, MAE, STD and MAX before and after, of fitted and held-out rows, of each of several instruments."""
+    words, units = calibration.fit.problem.words, parts_of(calibration.fit)
+    rows = []
+    for name, metrics in (calibration.metrics_by_instrument or {"": calibration.metrics}).items():
+        other = "" if not name or units[name] == words.unit else f" ({units[name]}, not {words.unit})"
+        for when, parts in metrics.items():
+            for part, of_rows in (("fit", "fitted rows"), ("heldout", "held-out rows")):
+                if (found := parts[part]) is not None:
+                    label = f"{name}{other}: {when}" if name else capital(when)
+                    figures = (fixed(found[key]) for key in ("rmse_mm", "mae_mm", "std_mm", "max_mm"))
+                    rows.append([f"{label}, {of_rows}", *figures])
+    figures_of = [f"#{figure}, {words.unit}" for figure in ("RMSE", "MAE", "STD", "MAX")]
+    return PrintedTable([capital(words.residual), *figures_of], rows)
+
+
+def left_out_table(calibration: Calibration) -> PrintedTable:
+    """Each face left out: found and predicted residuals, mm RMS; no prediction where it is denied."""
+    faces = calibration.left_out
+    has_predictions = any(math.isfinite(face.predicted_mm) for face in faces)
+    predicted = ["#Predicted, mm RMS", "#Found over predicted"] if has_predictions else []
+    rows = [
+        [
+            shortened(face.face, LONGEST),
+            f"{face.rows:,}",
+            fixed(face.actual_mm),
+            *([fixed(face.predicted_mm), fixed(face.ratio, 2)] if has_predictions else []),
+            f"{face.p:.2g}",
+        ]
+        for face in faces
+    ]
+    group = capital(calibration.fit.problem.words.group)
+    return PrintedTable([group, "#Rows", "#Found, mm RMS", *predicted, "#p"], rows)
+
+
+def parameters_table(calibration: Calibration) -> tuple[PrintedTable, list[str]]:
+    """Every free parameter, nominal and calibrated, angles in degrees; and the names of those that are held."""
+    priors = dict(zip(calibration.fit.names, calibration.fit.prior_std.tolist(), strict=True))
+    held, rows = [], []
+    for row in parameter_rows(calibration):
+        if row["known_from"] == "held":
+            held.append(row["name"])
+            continue
+        unit, factor = shown_unit(row["unit"])
+        nominal, estimate, std = (factor * row[key] for key in ("nominal", "estimate", "std"))
+        prior = priors.get(row["name"], math.inf)
+        share = f"{100 * row['std'] / prior:.0f} %" if math.isfinite(prior) and math.isfinite(std) else "no prior"
+        spread = ["–", "–"] if math.isnan(std) else [fixed(std), share]
+        change = fixed(estimate - nominal, signed=True)
+        rows.append([row["name"], unit, fixed(nominal), fixed(estimate), change, *spread, row["known_from"]])
+    titles = ("Parameter", "Unit", "#Nominal", "#Calibrated", "#Change", "#Std. dev.", "#Of prior", "Known from")
+    return PrintedTable(titles, rows), held
+
+
+def correlation_table(calibration: Calibration) -> PrintedTable:
+    """Pairs of the arm's own unknowns: planes are always correlated with each other and with the base."""
+    arm = np.flatnonzero(~calibration.seen.datum)
+    names = [calibration.seen.names[j] for j in arm]
+    pairs = correlated_pairs(calibration.covariance[np.ix_(arm, arm)], names)
+    rows = [[one, two, fixed(value, 3, signed=True)] for one, two, value in pairs]
+    return PrintedTable(["Parameter", "With", "#Correlation"], rows)
+
+
+def cure_table(calibration: Calibration) -> PrintedTable:
+    """Next steps, best first, with the expected tip error after each."""
+    cures = [
+        [cure.words, in_mm(cure.expected_rms_mm), "yes" if cure.recommended else "no"] for cure in calibration.cures
+    ]
+    rows = [*cures, ["As it is", in_mm(calibration.tip_std[1]), "–"]] if cures else []
+    return PrintedTable(["Next step", "#Tip error, RMS", "Recommended"], rows)
+
+
+def direction_table(calibration: Calibration) -> tuple[PrintedTable, list[str]]:
+    """Null and weak directions with what lowers each, the costly ones first; and those that move no tip, by name."""
+    found = calibration.identifiability
+    every: tuple[NullDirection | WeakDirection, ...] = (*found.null, *found.weak)
+    costly, harmless = [], []
+    for each, advice in sorted(zip(every, calibration.advice, strict=True), key=lambda pair: -pair[0].tip_mm):
+        kind = each.kind if isinstance(each, NullDirection) else "weak"
+        if advice == NOT_NEEDED:
+            harmless.append(f"{each.words} ({kind})")
+        else:
+            costly.append(
+                [each.words, kind, f"{each.tip_mm:.2g}" if math.isfinite(each.tip_mm) else "–", capital(advice)]
+            )
+    return PrintedTable(["What changes unseen", "Kind", "#At the tip, mm", "Cure"], costly), sorted(harmless)
+
+
+def effect_table(calibration: Calibration) -> PrintedTable:
+    """A line for each effect beside the geometry, the likeliest first, and for errors of the dial that rows show."""
+    corrected = set(calibration.corrected)
+    rows = [
+        [
+            capital(each.words),
+            "yes" if each.shown else "no",
+            f"{each.gain:.1f}",
+            sized(each.size, each.unit),
+            sized(each.expected_size, each.unit),
+            "yes" if each.key in corrected else "no",
+        ]
+        for each in calibration.effect_sizes
+    ]
+    dial = [error for error in calibration.dial_errors if error.shown]
+    rows = [[capital(error.words), "yes", "–", error.shown_size, "–", "no"] for error in dial] + rows
+    titles = ("Effect", "Shown by the samples", "#Gain", "#Most likely size", "#Usual size", "Corrected")
+    return PrintedTable(titles, rows)
+
+
+def constant_table(calibration: Calibration) -> PrintedTable:
+    """A line for each constant that the instruments take for exact, by what of the expected tip error it causes."""
+    rows = [
+        [
+            capital(each.words),
+            sized(each.std, each.unit),
+            f"{each.tip_mm:.2g}",
+            f"{each.left_mm:.2g}",
+            capital(each.cure),
+        ]
+        for each in calibration.leverages
+    ]
+    titles = (
+        "Taken for exact",
+        "#Standard deviation",
+        "#That moves the tip by, mm",
+        "#Left in the tip error, mm",
+        "Told by",
+    )
+    return PrintedTable(titles, rows)
+
+
+def corrected_words(calibration: Calibration) -> list[str]:
+    """Corrected effects and the tip error of a controller that cannot correct them; empty where none is corrected."""
+    named = listed([each.words for each in calibration.tried if each.corrected])
+    if not named:
+        return []
+    alone = tip_error(calibration.fit, calibration.result, ())
+    return [
+        f"The result corrects {named}; predict, compensate and the C export apply it. Tables of lengths",
+        f"and angles cannot: with those alone expect a tip error of {mm(alone)} RMS.",
+    ]
 
 
 def summary(calibration: WithVerdict, name: str) -> str:
     """Plain text of many lines; figures of accuracy are left out when the verdict denies them."""
-    verdict, denied = calibration.verdict, calibration.denied
+    verdict, words = calibration.verdict, calibration.fit.problem.words
     reasons = (f"- {reason}" for reason in [*verdict.reasons, *image_words(calibration, verdict)])
     parts = [
         _opening(calibration, name),
         "\n".join([*verdict_lines(calibration, verdict), *reasons]),
-        tables.residuals(calibration).text(),
-        _left_out(calibration),
-        "" if denied else _accuracy(calibration),
-        "" if denied else _most(calibration),
-        _parameters(calibration),
-        _blind_spots(calibration, denied),
-        "" if denied else _next_steps(calibration),
-        "" if denied or not calibration.leverages else tables.constants(calibration).text(),
-        _effects(calibration),
-        _reference(calibration),
+        residual_table(calibration).text(),
+        f"Each {words.group} by the others:\n{left_out_table(calibration).text()}" if calibration.left_out else "",
+        *_of_the_arm(calibration),
+        *_beside_the_arm(calibration),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
 def _opening(calibration: Calibration, name: str) -> str:
-    fit, held = calibration.fit, calibration.heldout
+    """Arm, method and rows; which result these were taken with, what was loosened, and whether they agree with it."""
+    fit, held, measured = calibration.fit, calibration.heldout, Measurements.of(calibration.samples)
     rows = f"{len(fit.measured)} fitted, {'none' if held is None else len(held.measured)} held out"
     rows += "" if held is None else together(calibration)
     if calibration.aside:
         rows += f", {len(calibration.aside_lines)} set aside"
     if calibration.copies:
         rows += f", {calibration.copies} {'copy' if calibration.copies == 1 else 'copies'} left out"
-    return (
+    taken = ""
+    if len(measured.sets) > 1:
+        taken = "".join(
+            f"{len(some)} of the {each}, " for each, some in zip(measured.names, measured.sets, strict=True)
+        )
+    elif (labels := measured.sets[0].labels.get(column := fit.problem.instrument.groups or "")) is not None:
+        groups = len(labels.names)
+        taken = f"{groups} {column}{'s' if groups != 1 else ''}, " if groups else ""
+    said = (
         f"casacal {__version__}, {fit.problem.robot.name} ({name}), {calibration.method}\n"
         f"{calibration.result.message}\n"
-        f"{len(calibration.samples)} samples of {calibration.samples.file}: {rows}; "
-        f"{_counted(calibration)}{fit.unknowns} unknowns{_since(calibration)}"
+        f"{len(calibration.samples)} samples of {calibration.samples.file}: {rows}; {taken}{fit.unknowns} unknowns"
     )
-
-
-def _since(calibration: Calibration) -> str:
-    """Which result these rows were taken with, what was loosened, and whether they agree with it."""
-    earlier = calibration.earlier
-    if earlier is None:
-        return ""
+    if (earlier := calibration.earlier) is None:
+        return said
     stds = (name if std is None else f"{name} by {std:g}" for name, std in earlier.loosened.items())
-    parts = [
-        f"\nWith what {earlier.file} knows: rows so far from what it expects, {chance(calibration.earlier_chance)}"
-    ]
+    parts = [f"With what {earlier.file} knows: rows so far from what it expects, {chance(calibration.earlier_chance)}"]
     parts += [f"may have changed: {listed(list(stds))}"] if earlier.loosened else []
     parts += [f"has not moved: {listed(list(earlier.standing))}"] if earlier.standing else []
     parts += [f"{counted(len(earlier.left_out), 'row')} it was calibrated from left out"] if earlier.left_out else []
-    return "; ".join(parts) + "."
+    return f"{said}\n{'; '.join(parts)}."
 
 
-def _counted(calibration: Calibration) -> str:
-    """How many faces there are, or how many samples each instrument took."""
-    measured = Measurements.of(calibration.samples)
-    if len(measured.sets) > 1:
-        return "".join(f"{len(some)} of the {name}, " for name, some in zip(measured.names, measured.sets, strict=True))
-    column = calibration.fit.problem.instrument.groups or ""
-    groups = len(measured.sets[0].labels[column].names) if column in measured.sets[0].labels else 0
-    return f"{groups} {column}{'s' if groups != 1 else ''}, " if groups else ""
-
-
-def _accuracy(calibration: Calibration) -> str:
-    (before, after), (drawn, flange) = calibration.tip_std, calibration.flange_std
-    alone, _ = calibration.tip_std_without_prior
-    samples_alone = f"the tip error is {mm(alone, 3)} RMS" if alone < METRE else "the tip error has no bound"
-    return "\n".join(
-        [
+def _of_the_arm(calibration: WithVerdict) -> Iterator[str]:
+    """Accuracy, what moves the tip most, parameters, and directions that the samples do not show."""
+    if not calibration.denied:
+        (before, after), (drawn, flange) = calibration.tip_std, calibration.flange_std
+        alone, _ = calibration.tip_std_without_prior
+        samples_alone = f"the tip error is {mm(alone, 3)} RMS" if alone < METRE else "the tip error has no bound"
+        lines = [
             "The residuals above are not accuracy: they can be small while the arm is wrong elsewhere.",
             f"Expected tip error over the workspace, apart from the position of the base: {mm(after, 3)} RMS (before: "
             f"{mm(before, 3)}).",
             *([f"Expected flange error: {mm(flange, 3)} (before: {mm(drawn, 3)})."] if math.isfinite(flange) else []),
             f"Both assume that {calibration.assumed} are right and that nothing else moves the arm.",
-            *tables.corrected_words(calibration),
+            *corrected_words(calibration),
             f"From the samples alone, without priors, {samples_alone}.",
         ]
-    )
+        yield "\n".join(lines)
+        yield _most(calibration)
+    table, held = parameters_table(calibration)
+    lines = [table.text()] if table.rows else []
+    lines += [f"held at nominal: {', '.join(held)}"] if held else []
+    if calibration.corrected:
+        lines.append(
+            "These values belong with the corrected effects. For a controller without them use casacal export."
+        )
+    yield "\n".join(lines)
+    yield _blind_spots(calibration)
 
 
 def _most(calibration: Calibration) -> str:
@@ -314,26 +475,9 @@ def _most(calibration: Calibration) -> str:
     return "\n".join(["What moves the tip most, by one standard deviation each:", *lines]) if lines else ""
 
 
-def _left_out(calibration: Calibration) -> str:
-    if not calibration.left_out:
-        return ""
-    title = f"Each {calibration.fit.problem.words.group} by the others:"
-    return f"{title}\n{tables.left_out(calibration).text()}"
-
-
-def _parameters(calibration: Calibration) -> str:
-    table, held = tables.parameters(calibration)
-    lines = [table.text()] if table.rows else []
-    lines += [f"held at nominal: {', '.join(held)}"] if held else []
-    if calibration.corrected:
-        lines.append(
-            "These values belong with the corrected effects. For a controller without them use casacal export."
-        )
-    return "\n".join(lines)
-
-
-def _blind_spots(calibration: Calibration, denied: bool) -> str:
-    found, (costly, harmless) = calibration.identifiability, tables.directions(calibration)
+def _blind_spots(calibration: WithVerdict) -> str:
+    denied = calibration.denied
+    found, (costly, harmless) = calibration.identifiability, direction_table(calibration)
     lines = [
         f"What these samples show: {found.rank} of {found.unknowns} directions of the unknowns, {len(found.weak)} of "
         f"them weakly; {len(found.null)} not at all (null)"
@@ -345,7 +489,7 @@ def _blind_spots(calibration: Calibration, denied: bool) -> str:
     lines += [f"  {words}; moves no tip" for words in harmless[:left]]
     if (more := len(costly.rows) + len(harmless) - SHOWN_DIRECTIONS) > 0:
         lines.append(f"  ... and {more} more of less weight; result.json has them all")
-    pairs = [] if denied else tables.correlations(calibration).rows
+    pairs = [] if denied else correlation_table(calibration).rows
     if pairs:
         shown = ", ".join(f"{one} with {two} ({value})" for one, two, value in pairs[:SHOWN_PAIRS])
         more_pairs = f" and {len(pairs) - SHOWN_PAIRS} more" if len(pairs) > SHOWN_PAIRS else ""
@@ -353,37 +497,28 @@ def _blind_spots(calibration: Calibration, denied: bool) -> str:
     return "\n".join(lines)
 
 
-def _next_steps(calibration: Calibration) -> str:
-    table = tables.next_steps(calibration)
-    if not table.rows:
-        return ""
-    planned = [PLANNED] if any("planned" in cure.words for cure in calibration.cures) else []
-    return "\n".join([table.text(), *planned, *filter(None, [nothing_helps(calibration)])])
-
-
-def _effects(calibration: Calibration) -> str:
-    """Non-geometric effects that the rows show, and what became of each correction that was tried."""
-    table = tables.effects(calibration)
-    if not table.rows:
-        return ""
-    shown = [row for row in table.rows if row[1] == "yes"]
-    lines = ["Errors beside the geometry:"]
-    lines += [replace(table, rows=shown).text()] if shown else []
-    left = len(table.rows) - len(shown)
-    lines.append(f"{left}{' more' if shown else ''} looked for and not found; result.json lists them all.")
-    outcomes = [each.became for each in calibration.tried if each.unseen]
-    none = ["None of them is corrected."] if calibration.tried else []
-    return "\n".join([*lines, *(outcomes or none)])
-
-
-def _reference(calibration: Calibration) -> str:
-    reference = calibration.reference
-    if reference is None:
-        return "Reference: not run."
-    verdict = "agrees" if reference.agrees else "DIFFERS"
-    words = (
-        f"Reference: {reference.solver} {verdict}; cost {calibration.result.cost:.8g}, its cost {reference.cost:.8g} "
-        f"(difference {reference.gap:.1e}, limit {reference.limit:.0e}), KKT residual {reference.result.kkt:.1e}, "
-        f"{reference.result.steps} iterations."
+def _beside_the_arm(calibration: WithVerdict) -> Iterator[str]:
+    """Next steps, trusted constants, errors beside the geometry and what became of each correction, the reference."""
+    if not calibration.denied and (steps := cure_table(calibration)).rows:
+        planned = [PLANNED] if any("planned" in cure.words for cure in calibration.cures) else []
+        yield "\n".join([steps.text(), *planned, *filter(None, [nothing_helps(calibration)])])
+    if not calibration.denied and calibration.leverages:
+        yield constant_table(calibration).text()
+    table = effect_table(calibration)
+    if table.rows:
+        shown = [row for row in table.rows if row[1] == "yes"]
+        lines = ["Errors beside the geometry:"]
+        lines += [replace(table, rows=shown).text()] if shown else []
+        left = len(table.rows) - len(shown)
+        lines.append(f"{left}{' more' if shown else ''} looked for and not found; result.json lists them all.")
+        outcomes = [each.became for each in calibration.tried if each.unseen]
+        yield "\n".join([*lines, *(outcomes or (["None of them is corrected."] if calibration.tried else []))])
+    if (reference := calibration.reference) is None:
+        yield "Reference: not run."
+        return
+    yield (
+        f"Reference: {reference.solver} {'agrees' if reference.agrees else 'DIFFERS'}; cost "
+        f"{calibration.result.cost:.8g}, its cost {reference.cost:.8g} (difference {reference.gap:.1e}, limit "
+        f"{reference.limit:.0e}), KKT residual {reference.result.kkt:.1e}, {reference.result.steps} iterations."
+        f"{'' if reference.result.converged else f'{chr(10)}{reference.solver}: {reference.result.message}'}"
     )
-    return words if reference.result.converged else f"{words}\n{reference.solver}: {reference.result.message}"

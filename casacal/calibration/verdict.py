@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
-from casacal.calibration.calibration import FAR, LACK_OF_FIT, Calibration, more_than_stated
+from casacal.calibration.before_fit import labels_alike, repeated
+from casacal.calibration.calibration import FAR, LACK_OF_FIT, Calibration, parts_of
 from casacal.calibration.finding import Finding
 from casacal.calibration.motion import tip_extremes
 from casacal.calibration.numbers import SCALE, TOOL, without_its_likes
+from casacal.data.samples import Measurements
 from casacal.deployment.result import Verdict
 from casacal.effects.selection import at_most, errors_are_shared
 from casacal.effects.trusted import COVERED
@@ -39,6 +41,22 @@ REPEAT = (
     "the noise, if it is known to be larger (--set noise_std=MM)"
 )
 """Step that settles a doubt of unknown cause."""
+GAIN = 0.9  # expected tip error over the one before, above which little was gained
+WORSE = 1.1  # residual after over before, on the very rows that were fitted, above which calibrating made the arm worse
+EXPLAINED = 0.5  # residual after over before, above which a fit that does not reach the noise has explained nothing
+BENT = 10.0  # prior standard deviations by which no arm differs from its drawing; who knows better states wider priors
+FARTHEST = 1e5  # mm or rad beyond which a number of an arm wandered off; result.schema.json takes none so large
+TOO_LOOSE = 1e-3
+"""Chance below which a drawn arm that misses so little contradicts its priors, and these must not decide."""
+USELESS = 20.0  # mm; an arm as drawn and a tool held against a rule err by less, so such a tip is not calibrated
+LITTLE_TURNED = 20.0  # degrees between postures below which a tool is hardly seen
+MEMBER = 1e-3
+"""Part of a direction's length above which a parameter takes part in it."""
+LEAST_SHOWN = 0.01  # millimetres below which nobody asks how little a tip errs
+LEFT_TO_PRIORS = 0.5
+"""Expected tip error over the one before, above which the priors decide more of it than the samples."""
+OVERSTATED = 0.3  # found over stated noise, surely below which rows count for a tenth of what they are worth
+CONTRADICTED = 1e-3  # chance below which new rows do not fit what an earlier result knows
 
 
 @dataclass(frozen=True)
@@ -62,66 +80,65 @@ def doubts(calibration: Calibration) -> list[Doubt]:
     """Doubts about a calibration, most telling first; empty when there is nothing to warn of."""
     if not calibration.fit.unknowns:  # nothing moved, and nothing is known better or worse
         return []
-    found: tuple[Callable[[Calibration], Doubt | None], ...] = (
-        _bounds_that_hold,
-        _rows_set_aside,
-        _tool_elsewhere,
-        _far_parameters,
-        _scale,
-        _repeated_rows,
-        _labels_alike,
-        _lack_of_fit,
-        _noise,
-        _loose_priors,
-        _unknown_places,
-        _dial_is_off,
-        larger_than_any,
-        _ignored_rows,
-        _effects_left_out,
-    )
-    if calibration.earlier is not None:  # what is known beforehand is not the drawing
-        found = (_since_earlier, *(look for look in found if look not in AS_DRAWN))
-    return [doubt for look in found if (doubt := look(calibration)) is not None]
+    drawn = calibration.earlier is None  # what is known beforehand is not the drawing
+    return [
+        *(() if drawn else _since_earlier(calibration)),
+        *_held_or_left_out(calibration),
+        *(_far_parameters(calibration) if drawn else ()),
+        *_samples(calibration),
+        *_noise(calibration),
+        *(_places_hardly_known(calibration) if drawn else ()),
+        *_beside_the_geometry(calibration),
+    ]
 
 
-def _since_earlier(calibration: Calibration) -> Doubt | None:
+def _since_earlier(calibration: Calibration) -> Iterator[Doubt]:
     """A doubt inherited from the earlier result, or caused by what was loosened since."""
     earlier = calibration.earlier
     assert earlier is not None
     if earlier.loosened:
         what = listed(list(earlier.loosened))
         clause = f"{what} may have changed, and no fresh rows have verified since that nothing else did"
-        return Doubt(clause, f"{capital(clause)}. Verify with rows in other postures.", VERIFY)
-    if earlier.verdict.level != "calibrated":
+        yield Doubt(clause, f"{capital(clause)}. Verify with rows in other postures.", VERIFY)
+    elif earlier.verdict.level != "calibrated":
         clause = "the earlier result was to be used with care"
-        return Doubt(clause, f"{capital(clause)}: {earlier.verdict.words}")
-    return None
+        yield Doubt(clause, f"{capital(clause)}: {earlier.verdict.words}")
 
 
-def _bounds_that_hold(calibration: Calibration) -> Doubt | None:
-    """Bounds of the problem on which the estimate lies: were they wrong, so would the arm be."""
-    active, known = calibration.result.active, {each.name: each for each in calibration.fit.problem.exact}
-    if not active:
-        return None
-    upper = [calibration.result.multipliers[name] > 0 for name in active]
-    ends = [known[name].high if up else known[name].low for name, up in zip(active, upper, strict=True)]
-    which = listed([f"'{name}' ({end:g} {known[name].unit})" for name, end in zip(active, ends, strict=True)])
-    clause = f"the samples would cross the bound {which}"
-    said = f"{capital(clause)}. The estimate lies on it, and every figure takes it for exact."
-    return Doubt(clause, said, "check the bound, or calibrate without it and see what the samples say by themselves")
+def _held_or_left_out(calibration: Calibration) -> Iterator[Doubt]:
+    """Bounds on which the estimate lies (were they wrong, so would the arm be), rows set aside, a tool elsewhere."""
+    if active := calibration.result.active:
+        known = {each.name: each for each in calibration.fit.problem.exact}
+        upper = [calibration.result.multipliers[name] > 0 for name in active]
+        ends = [known[name].high if up else known[name].low for name, up in zip(active, upper, strict=True)]
+        which = listed([f"'{name}' ({end:g} {known[name].unit})" for name, end in zip(active, ends, strict=True)])
+        clause = f"the samples would cross the bound {which}"
+        said = f"{capital(clause)}. The estimate lies on it, and every figure takes it for exact."
+        step = "check the bound, or calibrate without it and see what the samples say by themselves"
+        yield Doubt(clause, said, step)
+    if calibration.aside:
+        count = len(calibration.aside_lines)
+        said, it = ("1 row was set aside", "it") if count == 1 else (f"{count} rows were set aside", "them")
+        each = " ".join(str(finding).removeprefix("error: ") for finding in calibration.aside)
+        yield Doubt(said, f"{said} and not used: {each}", f"measure {it} again, and calibrate with the new readings")
+    for finding in calibration.tool_findings:
+        clause = "the tool is not where the problem file says"
+        if finding.about != TOOL:
+            either = finding.about.replace(" or ", " from ")
+            clause = f"these samples cannot tell {either}, so nothing is promised at the flange"
+        said = (
+            f"Tool offset: {finding.cause}. {finding.fix}. Until then figures hold for the tip with this tool, not for "
+            "the flange; compensate and predict need --frame tip."
+        )
+        yield Doubt(clause, said, lower(finding.fix))
 
 
-def _scale(calibration: Calibration) -> Doubt | None:
-    found = [each for each in calibration.instrument_findings if each.severity == "warning"]
-    return Doubt(found[0].cause.partition("; ")[0], str(found[0]).removeprefix("warning: ")) if found else None
-
-
-def _far_parameters(calibration: Calibration) -> Doubt | None:
+def _far_parameters(calibration: Calibration) -> Iterator[Doubt]:
     moved, names = calibration.moves, calibration.fit.names
     far = [j for j in np.argsort(-moved) if moved[j] > FAR]
     together = calibration.prior_moves
     if not far and together.chance > TOO_TIGHT:
-        return None
+        return
     factor = f"{together.factor:.1f} times as far as their priors allow"
     said = f"Together, the parameters moved {factor}"
     if far:
@@ -133,8 +150,9 @@ def _far_parameters(calibration: Calibration) -> Doubt | None:
         said += f". Regions of postures that were left out bear out that {listed(elsewhere)} of this arm "
         said += f"differ{'s' if len(elsewhere) == 1 else ''} from the drawing"
         wider = f"correct {listed(elsewhere)} in the problem file, or state wider priors (--prior, --accuracy)"
-        return Doubt("parameters moved far beyond their priors", f"{said}. {capital(wider)}.", wider)
-    return Doubt(
+        yield Doubt("parameters moved far beyond their priors", f"{said}. {capital(wider)}.", wider)
+        return
+    yield Doubt(
         "parameters moved far beyond their priors",
         f"{said}. Either these priors are too tight for this arm (--accuracy, --prior), or the "
         f"samples are wrong; {_what_check_says(calibration)}.",
@@ -150,71 +168,51 @@ def _what_check_says(calibration: Calibration) -> str:
     return f"the data check found {', '.join(named)}" if named else "the data check found no cause"
 
 
-def _rows_set_aside(calibration: Calibration) -> Doubt | None:
-    if not (found := calibration.aside):
-        return None
-    rows = calibration.aside_lines
-    said = "1 row was set aside" if len(rows) == 1 else f"{len(rows)} rows were set aside"
-    each = " ".join(str(finding).removeprefix("error: ") for finding in found)
-    it = "it" if len(rows) == 1 else "them"
-    return Doubt(said, f"{said} and not used: {each}", f"measure {it} again, and calibrate with the new readings")
-
-
-def _tool_elsewhere(calibration: Calibration) -> Doubt | None:
-    if not calibration.tool_findings:
-        return None
-    (finding,) = calibration.tool_findings
-    sentence = (
-        f"Tool offset: {finding.cause}. {finding.fix}. Until then figures hold for the tip with this tool, not for the "
-        "flange; compensate and predict need --frame tip."
-    )
-    clause = "the tool is not where the problem file says"
-    if finding.about != TOOL:
-        clause = (
-            f"these samples cannot tell {finding.about.replace(' or ', ' from ')}, so nothing is promised at the flange"
-        )
-    return Doubt(clause, sentence, lower(finding.fix))
-
-
-def _repeated_rows(calibration: Calibration) -> Doubt | None:
-    said = " ".join(str(finding).removeprefix("warning: ") for finding in calibration.repeated)
-    step = "remove the copies, or touch those places again"
-    return Doubt("some rows are copies of others", said, step) if said else None
-
-
-def _labels_alike(calibration: Calibration) -> Doubt | None:
-    said = " ".join(str(finding).removeprefix("warning: ") for finding in calibration.labels_alike)
-    step = "write one label where they are the same, and calibrate again"
-    return Doubt("some labels hardly differ from others", capital(said), step) if said else None
-
-
-def _lack_of_fit(calibration: Calibration) -> Doubt | None:
+def _samples(calibration: Calibration) -> Iterator[Doubt]:
+    """A common scale of all lengths, copies of rows, labels that may be slips, repeats that the fit misses."""
+    scales = [each for each in calibration.instrument_findings if each.severity == "warning"]
+    for finding in scales[:1]:
+        yield Doubt(finding.cause.partition("; ")[0], str(finding).removeprefix("warning: "))
+    measured = Measurements.of(calibration.samples)
+    pairs = zip(measured.names, measured.sets, strict=True)
+    found = (replace(each, instrument=name) for name, some in pairs for each in repeated(some))
+    if said := " ".join(str(each).removeprefix("warning: ") for each in found if each.severity == "warning"):
+        yield Doubt("some rows are copies of others", said, "remove the copies, or touch those places again")
+    alike = labels_alike(calibration.bare.problem, measured)
+    if said := " ".join(str(each).removeprefix("warning: ") for each in alike):
+        step = "write one label where they are the same, and calibrate again"
+        yield Doubt("some labels hardly differ from others", capital(said), step)
     again = calibration.noise.repeats
-    if again is None or not again.shared:
-        return None
-    return Doubt(
-        "the fit misses repeated touches by more than they scatter",
-        f"Repeated touches at {again.places} places scatter by {times(again.ratio)} times the stated noise; the fit "
-        f"misses them by {times(math.sqrt(again.f))} times that (F = {again.f:.3g}, {chance(again.chance)}). So the "
-        "instrument is not the cause, but an error that the model does not describe. Repeats of a place therefore "
-        "count as little more than one touch.",
-    )
+    if again is not None and again.shared:
+        yield Doubt(
+            "the fit misses repeated touches by more than they scatter",
+            f"Repeated touches at {again.places} places scatter by {times(again.ratio)} times the stated noise; the "
+            f"fit misses them by {times(math.sqrt(again.f))} times that (F = {again.f:.3g}, {chance(again.chance)}). "
+            "So the instrument is not the cause, but an error that the model does not describe. Repeats of a place "
+            "therefore count as little more than one touch.",
+        )
 
 
-def _noise(calibration: Calibration) -> Doubt | None:
+def _noise(calibration: Calibration) -> Iterator[Doubt]:
     noise, fit = calibration.noise, calibration.fit
     ratio, low, high = noise.ratio, noise.low, noise.high
     if (low <= NOISE_BAND[1] and high >= NOISE_BAND[0]) or (ratio < 1 and errors_are_shared(fit)):
-        return None
+        return
     if is_usual(fit, NOISE_BAND[1]):
-        return None
+        return
     said = f"The residuals are {ratio:.2f} times the stated noise (95 % interval {low:.2f} to {high:.2f})"
     if ratio < 1:
         advice = "The stated noise is too large, and so are the standard deviations. Lower noise_std."
-        return Doubt("the stated noise is too large", f"{said}. {advice}")
+        yield Doubt("the stated noise is too large", f"{said}. {advice}")
+        return
     if noise.scale:
+        factors = {name: fit.scale[name] for name in parts_of(fit) if name in fit.scale}
+        more = [f"{name} {factor:.2g}" for name, factor in factors.items() if factor > NOISE_BAND[1]]
+        right = [name for name, factor in factors.items() if factor <= NOISE_BAND[1]]
+        others = f", {' and '.join(right)} as stated" if right else ""
+        which = f"Times the stated noise: {', '.join(more)}{others}. " if more else ""
         advice = (
-            f"{more_than_stated(fit, NOISE_BAND[1])}All figures use the noise as found. Possible causes: poor joint "
+            f"{which}All figures use the noise as found. Possible causes: poor joint "
             "repeatability, transmission error of the motors' gears (state the gear ratios), a face that is not flat, "
             f"a tool that is not where the problem file says; {_what_check_says(calibration)}."
         )
@@ -222,87 +220,67 @@ def _noise(calibration: Calibration) -> Doubt | None:
             advice += f" The pattern fits a joint repeatability of {sized(rad, 'rad')}."
     else:
         advice = "The standard deviations are too small by about that factor. Raise noise_std, or find the cause."
-    return Doubt(
+    yield Doubt(
         "the residuals exceed the stated noise",
         f"{said}. Either the noise is larger than stated, or the model leaves something out. {advice}",
         REPEAT if calibration.suspicious else "",
     )
 
 
-def _loose_priors(calibration: Calibration) -> Doubt | None:
-    (prior_tip, tip), before = calibration.tip_std, calibration.metrics["before"]["fit"]
-    if not math.isfinite(prior_tip):  # a flat prior says nothing that samples could contradict; the others do
+def _places_hardly_known(calibration: Calibration) -> Iterator[Doubt]:
+    """Priors that look too loose, and places of the workspace where the tip is known no better than before."""
+    (prior, now), drawn = calibration.tip_std, calibration.metrics["before"]["fit"]
+    prior_tip = prior
+    if not math.isfinite(prior):  # a flat prior says nothing that samples could contradict; the others do
         (_, tips, slopes), stds = calibration.workspace, calibration.motion.arm.prior_std
         prior_tip = spread_rms(np.diag(np.where(np.isfinite(stds), stds, 0.0) ** 2), slopes, tips)
-    assert before is not None
-    if tip < SETTLED * prior_tip:
-        return None
-    scatter = prior_scatter(calibration.bare)
-    if scatter.chance_below(before["rmse_mm"]) > IMPROBABLE:
-        return None
-    things = calibration.fit.problem.words.things
-    moved, _ = tip_extremes(calibration.motion, calibration.workspace)
-    return Doubt(
-        "the priors look too loose",
-        f"By the priors the drawn arm would miss the {things} by {mm(scatter.rms)} RMS; it misses them by only "
-        f"{mm(before['rmse_mm'])}. So the priors look too loose, and calibration moves the tip by up to {mm(moved)} in "
-        "places that the samples do not cover. Tighten the priors (--accuracy, --prior), or verify there.",
-    )
+    assert drawn is not None
+    moved, worst = tip_extremes(calibration.motion, calibration.workspace)
+    scatter = None if now < SETTLED * prior_tip else prior_scatter(calibration.bare)
+    if scatter is not None and not scatter.chance_below(drawn["rmse_mm"]) > IMPROBABLE:
+        yield Doubt(
+            "the priors look too loose",
+            f"By the priors the drawn arm would miss the {calibration.fit.problem.words.things} by {mm(scatter.rms)} "
+            f"RMS; it misses them by only {mm(drawn['rmse_mm'])}. So the priors look too loose, and calibration moves "
+            f"the tip by up to {mm(moved)} in places that the samples do not cover. Tighten the priors (--accuracy, "
+            "--prior), or verify there.",
+        )
+    if math.isfinite(now) and not worst < prior:
+        yield Doubt(
+            "in some places the tip is known no better than before",
+            f"In the worst place of the workspace the tip's standard deviation is {mm(worst)}; before calibration it "
+            f"was {mm(prior)} on average. Take samples there, or verify before you rely on it.",
+        )
 
 
-def _unknown_places(calibration: Calibration) -> Doubt | None:
-    before, now = calibration.tip_std
-    _, worst = tip_extremes(calibration.motion, calibration.workspace)
-    if worst < before or not math.isfinite(now):
-        return None
-    return Doubt(
-        "in some places the tip is known no better than before",
-        f"In the worst place of the workspace the tip's standard deviation is {mm(worst)}; before calibration it was "
-        f"{mm(before)} on average. Take samples there, or verify before you rely on it.",
-    )
-
-
-def _ignored_rows(calibration: Calibration) -> Doubt | None:
-    lines = calibration.down_weighted
-    if not lines:
-        return None
-    rows = f"{'1 row: line' if len(lines) == 1 else f'{len(lines)} rows: lines'} {shortened(lines, 2 * SHOWN)}"
-    return Doubt(
-        f"the robust loss set aside {'a row' if len(lines) == 1 else f'{len(lines)} rows'}",
-        f"The robust loss gave less than half of its weight to {rows}. Measure them again.",
-    )
-
-
-def _effects_left_out(calibration: Calibration) -> Doubt | None:
-    """The problem declares effects beside the geometry, and this fit has none."""
+def _beside_the_geometry(calibration: Calibration) -> Iterator[Doubt]:
+    """Errors of the dial that nobody declared, effects that are too large or left out, rows that a loss ignored."""
+    doubted, promised = {each.name: each.std for each in calibration.leverages}, calibration.tip_std[1]
+    shown = [error for error in calibration.dial_errors if error.shown and error.tip_mm > promised]
+    shown = [error for error in shown if error.size > COVERED * doubted.get(error.key, 0.0)]
+    if shown:
+        worst = max(shown, key=lambda error: error.tip_mm)
+        yield Doubt(
+            f"the rows show an undeclared {worst.words}",
+            f"The rows show a {worst.words} of about {worst.shown_size}. The problem does not declare it, and it "
+            f"changes the result by more than the expected tip error. {capital(DECLARE)}.",
+            DECLARE,
+        )
+    if (too_large := larger_than_any(calibration)) is not None:
+        yield too_large
+    if lines := calibration.down_weighted:
+        rows = f"{'1 row: line' if len(lines) == 1 else f'{len(lines)} rows: lines'} {shortened(lines, 2 * SHOWN)}"
+        yield Doubt(
+            f"the robust loss set aside {'a row' if len(lines) == 1 else f'{len(lines)} rows'}",
+            f"The robust loss gave less than half of its weight to {rows}. Measure them again.",
+        )
     declared = calibration.source.problem.terms
-    if not declared or any(calibration.fit.beside):
-        return None
-    words = listed([effect.words for effect in declared])
-    return Doubt(
-        "effects that the problem declares were left out",
-        f"The problem declares {words}, which a robust loss, some methods and --discrepancy none leave out: no figure "
-        "counts them, and nothing corrects them.",
-    )
-
-
-def _dial_is_off(calibration: Calibration) -> Doubt | None:
-    """The rows show an error of the dial that the problem does not know, and it bends the arm by more than promised."""
-    doubted = {each.name: each.std for each in calibration.leverages}
-    shown = [
-        error
-        for error in calibration.dial_errors
-        if error.shown and error.tip_mm > calibration.tip_std[1] and error.size > COVERED * doubted.get(error.key, 0.0)
-    ]
-    if not shown:
-        return None
-    worst = max(shown, key=lambda error: error.tip_mm)
-    return Doubt(
-        f"the rows show an undeclared {worst.words}",
-        f"The rows show a {worst.words} of about {worst.shown_size}. The problem does not declare it, and it changes "
-        f"the result by more than the expected tip error. {capital(DECLARE)}.",
-        DECLARE,
-    )
+    if declared and not any(calibration.fit.beside):
+        yield Doubt(
+            "effects that the problem declares were left out",
+            f"The problem declares {listed([effect.words for effect in declared])}, which a robust loss, some methods "
+            "and --discrepancy none leave out: no figure counts them, and nothing corrects them.",
+        )
 
 
 def larger_than_any(calibration: Calibration) -> Doubt | None:
@@ -317,32 +295,6 @@ def larger_than_any(calibration: Calibration) -> Doubt | None:
         "else probably errs as well, which no figure counts. What is corrected of it counts as an error all the same. "
         "casacal check looks for the cause; touches in other postures and on other faces separate the effects.",
     )
-
-
-AS_DRAWN = (_far_parameters, _loose_priors, _unknown_places)
-"""Doubts that compare with the drawing; a calibration with an earlier result skips them."""
-
-
-GAIN = 0.9  # expected tip error over the one before, above which little was gained
-WORSE = 1.1  # residual after over before, on the very rows that were fitted, above which calibrating made the arm worse
-EXPLAINED = 0.5  # residual after over before, above which a fit that does not reach the noise has explained nothing
-BENT = 10.0  # prior standard deviations by which no arm differs from its drawing; who knows better states wider priors
-
-FARTHEST = 1e5  # mm or rad beyond which a number of an arm wandered off; result.schema.json takes none so large
-
-TOO_LOOSE = 1e-3
-"""Chance below which a drawn arm that misses so little contradicts its priors, and these must not decide."""
-
-USELESS = 20.0  # mm; an arm as drawn and a tool held against a rule err by less, so such a tip is not calibrated
-LITTLE_TURNED = 20.0  # degrees between postures below which a tool is hardly seen
-
-MEMBER = 1e-3
-"""Part of a direction's length above which a parameter takes part in it."""
-
-LEAST_SHOWN = 0.01  # millimetres below which nobody asks how little a tip errs
-
-LEFT_TO_PRIORS = 0.5
-"""Expected tip error over the one before, above which the priors decide more of it than the samples."""
 
 
 def verdict_of(calibration: Calibration) -> Verdict:
@@ -411,38 +363,32 @@ def _expected(calibration: Calibration) -> str:
 
 def _against(calibration: Calibration) -> list[tuple[str, str]]:
     """Reasons to refuse a result: for each a clause for the verdict's sentence, and a full sentence."""
-    found = [(clause, sentence(clause)) for clause in held_as_drawn(calibration)]  # it may look like wrong samples
-    found += [(clause, sentence(clause)) for clause in earlier_contradicted(calibration)]
-    found += [(clause, sentence(clause)) for clause in _out_of_reach(calibration)]
+    looks = (held_as_drawn, earlier_contradicted, _out_of_reach)  # the first may look like wrong samples
+    found = [(clause, sentence(clause)) for look in looks if (clause := look(calibration))]
     found += [
         (f"the samples look wrong ({error.about})", sentence(str(error).removeprefix("error: ").removesuffix(".")))
         for error in wrong_with_samples(calibration)
     ]
     if not calibration.result.converged:
         found.append(_unfinished(calibration))
-    found += [(clause, sentence(clause)) for clause in _missed_minimum(calibration)]
-    for look in (unexplained, priors_contradicted) if calibration.earlier is None else ():
-        found += [] if found else [(clause, sentence(clause)) for clause in look(calibration)]
+    for look in (_missed_minimum, *((unexplained, priors_contradicted) if calibration.earlier is None else ())):
+        if (not found or look is _missed_minimum) and (clause := look(calibration)):
+            found.append((clause, sentence(clause)))
     if calibration.result.converged and not math.isfinite(calibration.tip_std[1]):
         clause = "these samples do not bound the tip error"
         found.append((clause, "Neither the samples nor a prior determine every direction that moves the tip."))
     elif calibration.result.converged and not found and calibration.tip_std[1] > USELESS:
-        found.append(_unknown_tip(calibration))
+        fit, covariance = calibration.fit, calibration.covariance
+        places = [(name, j) for name, unit, _, j in fit.parameters() if j is not None and unit == "mm"]
+        stds = {name: math.sqrt(covariance[j, j]) for name, j in places}
+        loose = sorted((name for name in stds if stds[name] > USELESS / 2), key=lambda name: -stds[name])
+        which = f"The samples hardly show {listed(loose)}" if loose else "The samples show too little of the arm"
+        turned = math.degrees(most_turned(fit))
+        little = f" These postures turn the tool by at most {figures(turned, 2)} degrees."
+        why = f"{which}.{little if turned < LITTLE_TURNED else ''}"
+        clause = f"the tip would err by {mm(calibration.tip_std[1])}, more than an arm as drawn"
+        found.append((clause, f"{why} Add postures that turn the tool far about two axes, or state priors."))
     return found
-
-
-def _unknown_tip(calibration: Calibration) -> tuple[str, str]:
-    """Reason of a tip that is known no better than any arm as drawn: what is loose, and how far postures turn it."""
-    fit, covariance = calibration.fit, calibration.covariance
-    stds = {
-        name: math.sqrt(covariance[j, j]) for name, unit, _, j in fit.parameters() if j is not None and unit == "mm"
-    }
-    loose = sorted((name for name in stds if stds[name] > USELESS / 2), key=lambda name: -stds[name])
-    clause = f"the tip would err by {mm(calibration.tip_std[1])}, more than an arm as drawn"
-    turned = math.degrees(most_turned(fit))
-    why = f" These postures turn the tool by at most {figures(turned, 2)} degrees." if turned < LITTLE_TURNED else ""
-    which = f"The samples hardly show {listed(loose)}" if loose else "The samples show too little of the arm"
-    return clause, f"{which}.{why} Add postures that turn the tool far about two axes, or state priors."
 
 
 def most_turned(fit: BoundProblem) -> float:
@@ -480,49 +426,49 @@ def _unfinished(calibration: Calibration) -> tuple[str, str]:
     )
 
 
-def _missed_minimum(calibration: Calibration) -> list[str]:
-    """Reasons why the estimate is not the minimum; empty where it is.
+def _missed_minimum(calibration: Calibration) -> str:
+    """Why the estimate is not the minimum; empty where it is.
 
     A method that promises the minimum must meet the reference; any other may miss it by what the estimate's own spread
     explains: twice the cost above the minimum is then about chi-square with as many degrees of freedom as unknowns.
     """
     reference = calibration.reference
     if reference is None or reference.agrees or not calibration.result.converged:
-        return []
+        return ""
     if not reference.result.converged:
-        return [f"{reference.solver} did not finish, so nothing confirms the minimum; another --reference may"]
+        return f"{reference.solver} did not finish, so nothing confirms the minimum; another --reference may"
     if minimises(calibration.method):
-        return [f"the costs of {calibration.method} and {reference.solver} differ, so one of them missed the minimum"]
+        return f"the costs of {calibration.method} and {reference.solver} differ, so one of them missed the minimum"
     if 2 * (calibration.result.cost - reference.cost) <= calibration.fit.unknowns:
-        return []
-    return [
+        return ""
+    return (
         f"{calibration.method} ended at a cost of {calibration.result.cost:.4g}, far above the {reference.cost:.4g} "
         f"that {reference.solver} found"
-    ]
+    )
 
 
-def _out_of_reach(calibration: Calibration) -> list[str]:
+def _out_of_reach(calibration: Calibration) -> str:
     """Numbers that wandered off where neither samples nor a prior hold them."""
     moved = {name: calibration.used_x[j] for name, _, _, j in calibration.fit.parameters() if j is not None}
     far = [name for name, by in moved.items() if not abs(by) < FARTHEST]
     if not far or not calibration.result.converged:
-        return []
+        return ""
     said = f"{far[0]} moved by {moved[far[0]]:.3g}, as no arm does"
-    return [f"{said}: neither samples nor a prior hold it (--prior {far[0]}=STD)"]
+    return f"{said}: neither samples nor a prior hold it (--prior {far[0]}=STD)"
 
 
-def held_as_drawn(calibration: Calibration) -> list[str]:
+def held_as_drawn(calibration: Calibration) -> str:
     """Faces and the like that took over the drawn arm's errors, so that the arm was fitted to these."""
     names = dict.fromkeys(slot.key for slot in calibration.fit.slots if slot.held_as_drawn)
     if not names or not calibration.fit.unknowns:
-        return []
-    return [
+        return ""
+    return (
         f"what was measured against is held where the arm as drawn has it ({', '.join(names)}), so the arm was fitted "
         "to its own errors; leave it free, or state in the problem where it is"
-    ]
+    )
 
 
-def unexplained(calibration: Calibration) -> list[str]:
+def unexplained(calibration: Calibration) -> str:
     """Residuals far above the noise that the fit hardly lowered, or lowered only by bending the arm out of shape."""
     ratio, low = calibration.noise.ratio, calibration.noise.low
     before, after = (calibration.metrics[when]["fit"] for when in ("before", "after"))
@@ -532,46 +478,42 @@ def unexplained(calibration: Calibration) -> list[str]:
     if calibration.fit.datum.any() and after["rmse_mm"] > WORSE * before["rmse_mm"]:
         else_found = larger_than_any(calibration)  # it cannot be corrected, and then decides more than the geometry
         also = f", and {else_found.clause}" if else_found else ""
-        return [f"the calibrated arm fits its own rows worse than the arm as drawn{also}"]
+        return f"the calibrated arm fits its own rows worse than the arm as drawn{also}"
     if low <= LACK_OF_FIT:
-        return []
+        return ""
     moved = float(calibration.moves.max(initial=0.0))
     said = f"the residuals are {times(ratio)} times what the stated noise explains"
     if after["rmse_mm"] > EXPLAINED * before["rmse_mm"]:
-        return [f"{said}, and calibrating hardly lowered them"]
+        return f"{said}, and calibrating hardly lowered them"
     if moved > FAR:
-        return [f"{said}, even though parameters moved by up to {moved:.0f} prior standard deviations"]
-    return []
+        return f"{said}, even though parameters moved by up to {moved:.0f} prior standard deviations"
+    return ""
 
 
-OVERSTATED = 0.3  # found over stated noise, surely below which rows count for a tenth of what they are worth
-CONTRADICTED = 1e-3  # chance below which new rows do not fit what an earlier result knows
-
-
-def earlier_contradicted(calibration: Calibration) -> list[str]:
+def earlier_contradicted(calibration: Calibration) -> str:
     """A reason where new rows contradict the earlier result, given what was loosened."""
     chance_of_rows = calibration.earlier_chance
     if calibration.earlier is None or not chance_of_rows < CONTRADICTED or not calibration.result.converged:
-        return []
+        return ""
     loosened = listed(list(calibration.earlier.loosened))
     what = f"something else than {loosened} has changed" if loosened else "something has changed"
-    return [
+    return (
         f"these rows contradict the earlier result ({chance(chance_of_rows)}): {what}, or rows are wrong. casacal "
         "changed looks for it; name it with --loosen (loosen=), or calibrate anew"
-    ]
+    )
 
 
-def priors_contradicted(calibration: Calibration) -> list[str]:
+def priors_contradicted(calibration: Calibration) -> str:
     """Priors that the samples contradict, and that yet decide most of where the tip is."""
     if not calibration.fit.unknowns:
-        return []
+        return ""
     (before, now), far = calibration.tip_std, float(calibration.moves.max(initial=0.0))
     worst = calibration.fit.names[int(np.argmax(calibration.moves))]
     if far > BENT and worst not in calibration.borne_out:
-        return [
+        return (
             f"{worst} moved by {times(far)} prior standard deviations. Either a sign, a unit or a label is wrong, or "
             "it is so far from what the problem says; state wider priors then (--prior, or --accuracy for the arm)"
-        ]
+        )
     drawn, scatter = calibration.metrics["before"]["fit"], prior_scatter(calibration.bare)
     before = calibration.flange_std[0]  # a tool's prior is no part of the arm's
     assert drawn is not None
@@ -580,17 +522,15 @@ def priors_contradicted(calibration: Calibration) -> list[str]:
     if math.isfinite(before) and now > as_drawn and scatter.chance_below(drawn["rmse_mm"]) < TOO_LOOSE:
         if calibration.noise.high < OVERSTATED:
             said = times(1 / calibration.noise.ratio)
-            return [
-                f"the stated noise is {said} times what the rows show, so that they hardly count; state it as it is"
-            ]
-        return [
+            return f"the stated noise is {said} times what the rows show, so that they hardly count; state it as it is"
+        return (
             f"the priors are too loose for this arm: they allow a tip error of {mm(before)} as drawn, but its "
             f"residuals suggest about {mm(max(as_drawn, LEAST_SHOWN))}, which is less than these priors leave after "
             "calibrating (--accuracy, --prior)"
-        ]
+        )
     if far <= FAR or now <= LEFT_TO_PRIORS * before:
-        return []
-    return [
+        return ""
+    return (
         f"the samples move parameters by up to {far:.0f} prior standard deviations, so these priors do not fit this "
         "arm, and yet most of the tip error depends on them"
-    ]
+    )

@@ -68,13 +68,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Calibrate as the options say; returns 0, or 1 when the result must not be used."""
     from casacal.calibration.calibrate import calibrate
-    from casacal.calibration.result_json import FILES
+    from casacal.calibration.calibrated import FILES
     from casacal.files import check_writable
     from casacal.kernels.losses import huber, tukey
     from casacal.model.problem_file import load_problem
 
     if options.out is not None:
-        if not options.out.strip() or (Path(options.out).exists() and not Path(options.out).is_dir()):
+        if Path(options.out).exists() and not Path(options.out).is_dir():
             raise CasacalError(f"--out '{options.out}' is no folder", "Name a folder, or one that does not exist yet")
         check_writable(Path(options.out))
     if options.holdout_by is not None and not options.holdout_by.strip():
@@ -137,9 +137,8 @@ def _since(options: argparse.Namespace) -> tuple[dict[str, float | None], list[s
 
 def _report(calibration: Calibrated, source: ProblemFile, box: Box | None, options: argparse.Namespace) -> int:
     """Print the answer in the requested form and write the files; returns 0 or 1."""
-    from casacal.calibration.result_json import calibration_document, write_calibration
-    from casacal.calibration.summary import MOST_LINES, brief, summary
-    from casacal.calibration.tables import corrected_words
+    from casacal.calibration.result_json import calibration_document
+    from casacal.calibration.summary import MOST_LINES, brief, corrected_words, summary
     from casacal.model.problem_text import FILL_IN
     from casacal.uncertainty.tip_error import accuracy_in_box
 
@@ -172,7 +171,7 @@ def _report(calibration: Calibrated, source: ProblemFile, box: Box | None, optio
         room = MOST_LINES - len(wrapped(last))
         say_lines(brief(calibration, verdict, about=about, out=folder, expected=expected, width=width(), room=room))
     if folder is not None:
-        write_calibration(calibration, Path(folder), command=options.typed, box=box)
+        calibration.save(folder, command=options.typed, box=box)
     if not options.json and (folder is not None or not options.verbose):
         say("\n".join(wrapped(last)))
     return FAILED if denied else DONE

@@ -20,6 +20,18 @@ if TYPE_CHECKING:
     from casacal.values import Array, Box
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+PROBLEM = "PROBLEM", "a folder with a problem.py, or such a file"
+RESULT = "RESULT", "result.json of casacal calibrate, or the .truth.json of casacal simulate"
+OF_SEVERAL = "where a problem has several instruments"
+INSTRUMENT = "--instrument NAME", f"instrument whose tip is meant; default: the first, {OF_SEVERAL}"
+FORCE = "--force", "accept a result that must not be used; the file says so"
+JSON = "--json", "print the answer as JSON, and nothing else"  # arguments of several commands, as `add` takes them
+THINNEST = 5.0  # mm; a radius of links below it was given in metres
+TABLE = (
+    "--table Z",
+    "height of what the arm stands on, mm, base frame: nothing goes below it; default: 0, the base plane; -inf: none",
+)
+TILT = "--tilt DEG", "largest angle between plunger and face normal; default: 30, or as the problem's cell has it"
 
 
 def add(
@@ -59,14 +71,6 @@ def add(
             dest=dest,
             help=words,
         )
-
-
-PROBLEM = "PROBLEM", "a folder with a problem.py, or such a file"
-RESULT = "RESULT", "result.json of casacal calibrate, or the .truth.json of casacal simulate"
-OF_SEVERAL = "where a problem has several instruments"
-INSTRUMENT = "--instrument NAME", f"instrument whose tip is meant; default: the first, {OF_SEVERAL}"
-FORCE = "--force", "accept a result that must not be used; the file says so"
-JSON = "--json", "print the answer as JSON, and nothing else"  # arguments of several commands, as `add` takes them
 
 
 def add_frame(parser: argparse.ArgumentParser, words: str) -> None:
@@ -317,21 +321,11 @@ def number_or_range(text: str) -> float | tuple[float, float]:
         raise argparse.ArgumentTypeError(f"'{text}' is no number, nor a range of two such as -5:5") from None
 
 
-THINNEST = 5.0  # mm; a radius of links below it was given in metres
-TABLE = (
-    "--table Z",
-    "height of what the arm stands on, mm, base frame: nothing goes below it; default: 0, the base plane; -inf: none",
-)
-
-
 def table_of(source: ProblemFile, options: argparse.Namespace) -> float:
     """Height of the table, mm: as it was named, or as the problem file's cell has it, or the base plane."""
     if options.table is not None:
         return float(options.table)
     return 0.0 if source.cell is None else source.cell.table
-
-
-TILT = "--tilt DEG", "largest angle between plunger and face normal; default: 30, or as the problem's cell has it"
 
 
 def in_cell(source: ProblemFile, options: argparse.Namespace, *, tilt: float | None = None) -> ProblemFile:

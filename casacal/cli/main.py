@@ -20,6 +20,24 @@ from casacal.public import __version__
 from casacal.threads import one_thread_each
 
 AGAIN = 0.1  # seconds after which an interrupt that ended nothing is raised once more
+GROUPS = {
+    "describe the arm": ("new", "doctor"),
+    "plan and measure": ("plan", "measure", "check"),
+    "calibrate": ("calibrate", "verify", "changed"),
+    "use the calibrated arm": ("predict", "compensate", "export"),
+    "simulate and compare": ("simulate", "demo", "study", "bench"),
+    "for other programs": ("schema", "completion"),
+}
+COMMANDS = tuple(name for names in GROUPS.values() for name in names)
+"""In the order of the work. Each is a module of `casacal.cli` with `HELP`, `add_arguments(parser)` and `run(options)`,
+imported when it is typed."""
+EPILOG = (
+    "The flange is the end of the arm (robot.pose of the problem); the tip is where the instrument touches. Lengths "
+    "are in mm and angles in rad unless a name or a column says otherwise. Exit codes: 0 done; 1 the result must not "
+    "be used, a check failed or a target was not reached; 2 bad input."
+)
+# a box, range or number below zero that argparse takes for an option
+NEGATIVE = re.compile(r"-(inf$|[\d.]+([:,]|e-?\d))")
 
 
 def heard(run: Callable[[], int]) -> int:
@@ -64,25 +82,6 @@ def heard(run: Callable[[], int]) -> int:
     return code
 
 
-GROUPS = {
-    "describe the arm": ("new", "doctor"),
-    "plan and measure": ("plan", "measure", "check"),
-    "calibrate": ("calibrate", "verify", "changed"),
-    "use the calibrated arm": ("predict", "compensate", "export"),
-    "simulate and compare": ("simulate", "demo", "study", "bench"),
-    "for other programs": ("schema", "completion"),
-}
-COMMANDS = tuple(name for names in GROUPS.values() for name in names)
-"""In the order of the work. Each is a module of `casacal.cli` with `HELP`, `add_arguments(parser)` and `run(options)`,
-imported when it is typed."""
-
-EPILOG = (
-    "The flange is the end of the arm (robot.pose of the problem); the tip is where the instrument touches. Lengths "
-    "are in mm and angles in rad unless a name or a column says otherwise. Exit codes: 0 done; 1 the result must not "
-    "be used, a check failed or a target was not reached; 2 bad input."
-)
-
-
 class _Parser(argparse.ArgumentParser):
     """Refuses in one line, as every other refusal of casacal; `commands` are the parsers below it."""
 
@@ -109,10 +108,6 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         command = self.prog.removeprefix("casacal").strip()
         raise CasacalError(f"{command}: {message}" if command else message, f"See {self.prog} --help")
-
-
-# a box, range or number below zero that argparse takes for an option
-NEGATIVE = re.compile(r"-(inf$|[\d.]+([:,]|e-?\d))")
 
 
 def build_parser(commands: Sequence[str] = COMMANDS) -> _Parser:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from casacal.cli import common
 from casacal.cli.common import DONE, JSON, PROBLEM, add, whole_number
-from casacal.cli.terminal import say_json, say_paragraphs
+from casacal.cli.terminal import answer, say_paragraphs
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
@@ -98,14 +98,16 @@ def run(options: argparse.Namespace) -> int:
             f"{fitted} touches are fitted, but casacal calibrate needs at least {least} for all unknowns. Ask for more"
         )
         warned = [f"{what}, keep fewer to verify, or hold parameters", *warned]
-    if options.json:
-        say_json({**document(found, source.problem, compared, written, clearance), "warnings": warned})
-        return DONE
     there = "inside the box" if options.box else "over the workspace" if options.targets is None else "at the targets"
-    say_paragraphs(*cell_words(found, source.problem, clearance))
-    say_paragraphs(*plan_sentences(found, compared, where=there, pool=options.pool, after=later, every=options.setups))
-    say_paragraphs(*(f"warning: {each}" for each in warned), *(f"Written: {place}" for place in written))
-    say_paragraphs(*_following(options, compared, place, of_one=bool(texts)))
+    answer(
+        options,
+        {**document(found, source.problem, compared, written, clearance), "warnings": warned},
+        *cell_words(found, source.problem, clearance),
+        *plan_sentences(found, compared, where=there, pool=options.pool, after=later, every=options.setups),
+        *(f"warning: {each}" for each in warned),
+        *(f"Written: {place}" for place in written),
+        *_following(options, compared, place, of_one=bool(texts)),
+    )
     return DONE
 
 

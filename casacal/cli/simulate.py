@@ -21,7 +21,7 @@ from casacal.cli.common import (
     table_of,
     whole_number,
 )
-from casacal.cli.terminal import say_json, say_paragraphs
+from casacal.cli.terminal import answer
 from casacal.errors import CasacalError
 from casacal.wording import METRE, UNBOUNDED, counted, figures, listed, shortened
 
@@ -53,6 +53,8 @@ NUMBERS = {
     "error-scale": ("X", "size of the arm's true errors, in prior standard deviations"),
 }
 """Options that are a number: its unit, and what it is."""
+SHOWN = 1e-3  # degrees, or hundredths of a mm, that a controller shows
+MOVED = 10.0  # degrees, or tens of mm, beyond which a posture is another one than the plan's
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -81,7 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Simulate as the options say; returns 0."""
-    from casacal.calibration.truth import sample_paths, write_simulation
+    from casacal.calibration.result_json import sample_paths, write_simulation
     from casacal.fit.bound_problem import bind
     from casacal.model.problem_file import load_problem
     from casacal.simulation.cell import Cell
@@ -105,30 +107,30 @@ def run(options: argparse.Namespace) -> int:
     paths = write_simulation(simulation, source, out, None if kept is None else (checks, kept))
     written = [path.as_posix() for path in paths]
     faces = [face.label for face in cell.faces] if isinstance(cell, Cell) else []
-    if options.json:
-        tip = {"before_rms_mm": before, "after_rms_mm": after}
-        found = {"samples": len(simulation.measured), "faces": faces, "tip": tip, "written": written}
-        if route is not None:
-            found |= {"kept": 0 if kept is None else len(kept), "left_out": lost, "warnings": warned}
-        say_json(found)
-        return DONE
+    found = {
+        "samples": len(simulation.measured),
+        "faces": faces,
+        "tip": {"before_rms_mm": before, "after_rms_mm": after},
+        "written": written,
+    }
+    if route is not None:
+        found |= {"kept": 0 if kept is None else len(kept), "left_out": lost, "warnings": warned}
     sets = list(zip(source.problem.names, simulation.measured.sets, strict=True))
     counted = ", ".join(f"{len(some)} samples{f' of the {name}' if len(sets) > 1 else ''}" for name, some in sets)
     counted += "" if kept is None else f", and {len(kept)} kept to verify,"
     where = f"in the postures of {options.plan}" if options.plan else "in random postures"
     if options.plan is None and isinstance(cell, Cell):
         where = f"on {', '.join(faces)} at tilts up to {math.degrees(cell.tilt):g} deg"
-    say_paragraphs(f"Simulated, not measured: {counted} {where}")
-    say_paragraphs(*(f"warning: {each}" for each in warned), *remarks)
-    say_paragraphs(
+    said = [f"Simulated, not measured: {counted} {where}", *(f"warning: {each}" for each in warned), *remarks]
+    said.append(
         "Samples like these should reduce the tip error over the workspace, apart from the position of the base, from "
         f"{f'{before:.2f}' if before < METRE else UNBOUNDED} to {after:.2f} mm RMS, if the stated noise and priors are "
         "right"
     )
-    say_paragraphs(*_not_simulated(simulation))
+    said += _not_simulated(simulation)
     if kept is None and checks.is_file() and checks.read_bytes().startswith(b"# simulated by casacal"):
-        say_paragraphs(f"warning: {checks.as_posix()} is there from before; it is not of this simulation")
-    say_paragraphs(f"Written: {', '.join(written)}")
+        said.append(f"warning: {checks.as_posix()} is there from before; it is not of this simulation")
+    answer(options, found, *said, f"Written: {', '.join(written)}")
     return DONE
 
 
@@ -149,10 +151,6 @@ def _route(source: ProblemFile, options: argparse.Namespace) -> Route | None:
     if set(found.purposes) == {CHECK}:
         raise CasacalError(f"All touches of {options.plan} are kept to verify", "Give a plan with touches to fit")
     return found
-
-
-SHOWN = 1e-3  # degrees, or hundredths of a mm, that a controller shows
-MOVED = 10.0  # degrees, or tens of mm, beyond which a posture is another one than the plan's
 
 
 def _compared(

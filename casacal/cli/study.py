@@ -57,34 +57,31 @@ def run(options: argparse.Namespace) -> int:
 
 def run_source(source: StudyFile, options: argparse.Namespace) -> int:
     """Run a study and write its report as the options say; returns as `run` does."""
-    try:
-        return _reported(source, options)
-    except KeyboardInterrupt:
-        complain("Interrupted. The records so far are kept; --resume continues from there.")
-        return INTERRUPTED
-
-
-def _reported(source: StudyFile, options: argparse.Namespace) -> int:
     from casacal.study.description import Run
     from casacal.study.study_file import machine, note_machines, write_report
 
     if source.skipped and not options.report:
         say_paragraphs(f"Skipped: {source.skipped}")
         return DONE
-    study = source.form(quick=options.quick, trials=options.trials)
-    out = Path(options.out or f"out/{source.name}{'-quick' if options.quick else ''}")
-    if study is None:
-        run = Run(None, (), out, options.quick)
-        note_machines(out, [machine()])
-    else:
-        run = _made(source, study, out, options)
-        say_paragraphs(f"{len(run.records)} records in {out.as_posix()}, SHA-256 without timings {run.digest}")
-        if options.shard is not None:
-            again = f"{source.commands[0]} --merge DIR DIR ... --out DIR"
-            say_paragraphs(f"Shard {options.shard}. When all are done: {again}")
-            return DONE
-    said = (" --quick" if options.quick else "") + (f" --trials {options.trials}" if options.trials is not None else "")
-    say_paragraphs(f"Written: {write_report(source, run, said).as_posix()}")
+    try:
+        study = source.form(quick=options.quick, trials=options.trials)
+        out = Path(options.out or f"out/{source.name}{'-quick' if options.quick else ''}")
+        if study is None:
+            run = Run(None, (), out, options.quick)
+            note_machines(out, [machine()])
+        else:
+            run = _made(source, study, out, options)
+            say_paragraphs(f"{len(run.records)} records in {out.as_posix()}, SHA-256 without timings {run.digest}")
+            if options.shard is not None:
+                again = f"{source.commands[0]} --merge DIR DIR ... --out DIR"
+                say_paragraphs(f"Shard {options.shard}. When all are done: {again}")
+                return DONE
+        said = " --quick" if options.quick else ""
+        said += f" --trials {options.trials}" if options.trials is not None else ""
+        say_paragraphs(f"Written: {write_report(source, run, said).as_posix()}")
+    except KeyboardInterrupt:
+        complain("Interrupted. The records so far are kept; --resume continues from there.")
+        return INTERRUPTED
     return DONE
 
 

@@ -26,6 +26,13 @@ from casacal.wording import listed
 
 TRUTH = "this is the true arm of a simulation, not a calibration"
 FRAMES = ("flange", "tip")  # frame of a pose: `robot.pose`, or where the instrument touches
+NAMED = ("parameters", "unknowns", "without_corrections")  # parts of a result whose entries have the name of an unknown
+OTHERS = "others."  # prefix of unknowns that the other instruments share
+ALL_ROWS = "plane"  # label of the face where there is one for all rows
+NO_COLUMNS: Mapping[str, Array] = FrozenMapping({})
+MOST_SPANS, FAR_SPANS, NEAR_NOTHING = 10.0, 0.5, 0.02
+"""How far from the fitted rows an amount may be, in spans of these: more is refused, or else said; and how little all
+amounts of a file may be, but for none at all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,11 +197,6 @@ def _local(key: str, unknown: Any, result: CalibratedArm, nominal: bool, *, alon
     return np.array([known[name] for name in unknown.names(key)])
 
 
-NAMED = ("parameters", "unknowns", "without_corrections")  # parts of a result whose entries have the name of an unknown
-OTHERS = "others."  # prefix of unknowns that the other instruments share
-ALL_ROWS = "plane"  # label of the face where there is one for all rows
-
-
 def for_instrument(arm: CalibratedArm, instrument: str | None = None) -> CalibratedArm:
     """The arm with one of its instruments, by default the first; itself where it has no other.
 
@@ -240,13 +242,6 @@ def _renamed(part: Mapping[str, Any], own: Callable[[str], str]) -> dict[str, An
     rows = {key: [{**row, "name": own(row["name"])} for row in part[key]] for key in NAMED if key in part}
     names = part.get("covariance_of")
     return rows if names is None else {**rows, "covariance_of": [own(each) for each in names]}
-
-
-NO_COLUMNS: Mapping[str, Array] = FrozenMapping({})
-
-MOST_SPANS, FAR_SPANS, NEAR_NOTHING = 10.0, 0.5, 0.02
-"""How far from the fitted rows an amount may be, in spans of these: more is refused, or else said; and how little all
-amounts of a file may be, but for none at all."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,6 +30,11 @@ from casacal.values import Array
 
 LEVER = 100.0  # distance (mm) from the flange's origin of the points that stand for its orientation
 STEPS = 5
+JOINTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
+ATTRIBUTE = re.compile(rb"""\s([\w:.-]+)\s*=\s*("[^"]*"|'[^']*')""")
+FORMS = ("dh", "urdf", "zeros", "ur", "c", "casadi")
+"""DH table (CSV, or TOML by the file's name), URDF, zero corrections (CSV), ur_description's kinematics, C99, and
+a `casadi.Function` of q to the flange pose, which `casadi.Function.load` reads."""
 
 
 @dataclass(frozen=True)
@@ -112,9 +117,6 @@ def roll_pitch_yaw(matrix: Array, near: Sequence[float] = (0.0, 0.0, 0.0)) -> tu
     return x, y, z
 
 
-JOINTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
-
-
 def ur_kinematics_text(result: CalibratedArm) -> str:
     """Origins of the six joints in the frame before, m and rad, as YAML; each joint turns about its own z.
 
@@ -181,9 +183,6 @@ def _origins(arm: DHTable | UrdfChain, p: Any, conventions: Conventions) -> tupl
 def _fixed(value: float, digits: int = 12) -> str:
     """A number without exponent, which YAML readers take for a text where it has no point."""
     return f"{value:z.{digits}f}".rstrip("0").rstrip(".")
-
-
-ATTRIBUTE = re.compile(rb"""\s([\w:.-]+)\s*=\s*("[^"]*"|'[^']*')""")
 
 
 def urdf_text(result: CalibratedArm, source: str | Path | None = None) -> str:
@@ -292,11 +291,6 @@ def _places(data: bytes) -> tuple[dict[str, int], dict[str, int]]:
     parser.EndElementHandler = lambda _: path.pop()
     parser.Parse(data, True)
     return joints, origins
-
-
-FORMS = ("dh", "urdf", "zeros", "ur", "c", "casadi")
-"""DH table (CSV, or TOML by the file's name), URDF, zero corrections (CSV), ur_description's kinematics, C99, and
-a `casadi.Function` of q to the flange pose, which `casadi.Function.load` reads."""
 
 
 def export(

@@ -13,6 +13,7 @@ from casacal.values import Array, FrozenMapping, Value, read_only
 from casacal.wording import listed, sentence
 
 Level = Literal["calibrated", "use with care", "do not use"]
+TIP_ERRORS = ("expected", "prior", "flange_expected", "flange_prior")
 
 
 @dataclass(frozen=True)
@@ -86,9 +87,6 @@ class TipErrors(Value):
     prior_mm: float
     flange_expected_mm: float
     flange_prior_mm: float
-
-
-TIP_ERRORS = ("expected", "prior", "flange_expected", "flange_prior")
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +204,8 @@ def result_of(document: Mapping[str, Any]) -> CalibrationResult:
     """The value that a result.json holds, which `check_document` found sound."""
     said, tip = document.get("verdict"), document.get("tip") or {}
     unknowns = _values(document.get("unknowns"))
-    names, covariance = document.get("covariance_of"), document.get("covariance")
+    names, covariance, image = (document.get(key) for key in ("covariance_of", "covariance", "mirror_image"))
+    mirror = image and MirrorImage(tuple(image["reversed"]), tuple(image["half_turned"]), float(image["off_mm"]))
     return CalibrationResult(
         method=str(document.get("method") or ""),
         status=str(document.get("status") or ""),
@@ -233,14 +232,8 @@ def result_of(document: Mapping[str, Any]) -> CalibrationResult:
         effects=_effects(document.get("discrepancy") or {}),
         data=_data(document.get("data") or {}),
         cost=_number(document.get("cost")),
-        mirror_image=_mirror_image(document.get("mirror_image")),
+        mirror_image=mirror,
     )
-
-
-def _mirror_image(part: Mapping[str, Any] | None) -> MirrorImage | None:
-    if part is None:
-        return None
-    return MirrorImage(tuple(part["reversed"]), tuple(part["half_turned"]), float(part["off_mm"]))
 
 
 def _noise(part: Mapping[str, Any]) -> NoiseFound:

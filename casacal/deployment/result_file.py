@@ -32,6 +32,10 @@ from casacal.model.unknown import Parameter
 from casacal.wording import lower
 
 FIX = "Restore the file, or calibrate again"
+FREE = ("seal", "seconds", BY)  # keys that are not sealed
+RESTORE = "Restore it, or calibrate again"
+SCHEMA = 2  # version of the files written now. Those without a number are older: they need their problem.py
+LARGEST_SOURCE = 100_000_000  # bytes beyond which a file is none that an arm was made from
 
 
 def schema_text() -> str:
@@ -159,11 +163,6 @@ def _short(value: Any) -> str:
     return text if len(text) <= 40 else f"{text[:40]}..."
 
 
-FREE = ("seal", "seconds", BY)  # keys that are not sealed
-
-RESTORE = "Restore it, or calibrate again"
-
-
 def sealed(document: Mapping[str, Any]) -> dict[str, Any]:
     """The document with its seal, made anew where it has one."""
     keys = sorted(key for key in document if key not in FREE)
@@ -171,25 +170,9 @@ def sealed(document: Mapping[str, Any]) -> dict[str, Any]:
     return {**kept, "seal": {"of": keys, "sha256": _digest(jsonable(kept), keys)}}
 
 
-def check_seal(file: str, document: Mapping[str, Any]) -> None:
-    """Raise CasacalError unless a document, as read from its file, is what was sealed."""
-    seal = document.get("seal")
-    if not isinstance(seal, dict) or not isinstance(seal.get("of"), list):
-        raise CasacalError(f"{file}: its seal is gone, so it was changed after it was written", RESTORE)
-    keys, digest = seal["of"], None
-    with suppress(ValueError, RecursionError):
-        digest = _digest(document, keys) if all(isinstance(key, str) for key in keys) else None
-    if digest is None or seal.get("sha256") != digest:
-        raise CasacalError(f"{file}: it was changed after it was written", RESTORE)
-
-
 def _digest(document: Mapping[str, Any], keys: Sequence[str]) -> str:
     guarded = [list(keys), {key: document[key] for key in keys if key in document}]
     return hashlib.sha256(json.dumps(guarded, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
-
-
-SCHEMA = 2  # version of the files written now. Those without a number are older: they need their problem.py
-LARGEST_SOURCE = 100_000_000  # bytes beyond which a file is none that an arm was made from
 
 
 def read_result(path: str | Path, *, problem: Problem | None = None) -> CalibratedArm:
@@ -212,7 +195,15 @@ def read_result(path: str | Path, *, problem: Problem | None = None) -> Calibrat
         source = _own_problem(place, document)
     else:
         source = _older_problem(place, document)
-    _check_nominal(str(place), source, document)
+    began = {row["name"]: row["nominal"] for row in document["parameters"]}
+    for key, unknown in source.problem.robot.parameters.items():  # is the arm the one that the result began with?
+        if not isinstance(unknown, Parameter) or unknown.nominal is None:
+            continue
+        for name, value in zip(unknown.component_names(key), np.ravel(unknown.nominal), strict=True):
+            was = began.get(name, value)
+            if abs(was - value) > 1e-9 * (1 + abs(value)):
+                what = f"{place}: its arm has changed since the calibration ('{name}' was {was:g} and is {value:g})"
+                raise CasacalError(what, "Calibrate again, or restore the file that the problem reads")
     return CalibratedArm(str(place), source, document)
 
 
@@ -232,7 +223,13 @@ def _read(place: Path) -> dict[str, Any]:
         raise CasacalError(what, "Update casacal")
     check_document(str(place), document)
     if "seal" in document or "arm" in document:  # what an older casacal wrote has neither, and is refused later
-        check_seal(str(place), document)
+        seal, digest = document.get("seal"), None
+        if not isinstance(seal, dict) or not isinstance(seal.get("of"), list):
+            raise CasacalError(f"{place}: its seal is gone, so it was changed after it was written", RESTORE)
+        with suppress(ValueError, RecursionError):
+            digest = _digest(document, seal["of"]) if all(isinstance(key, str) for key in seal["of"]) else None
+        if digest is None or seal.get("sha256") != digest:
+            raise CasacalError(f"{place}: it was changed after it was written", RESTORE)
     document.pop(BY, None)
     return document  # type: ignore[no-any-return]
 
@@ -302,19 +299,6 @@ def _older_problem(place: Path, document: Mapping[str, Any]) -> ProblemFile:
             return load_problem(path)
     what = f"its problem '{named}' is not there" if named else "it holds no problem"
     raise CasacalError(f"{place}: {what}", "Give the problem: casacal.load(path, problem=...), or calibrate again")
-
-
-def _check_nominal(file: str, source: ProblemFile, document: Mapping[str, Any]) -> None:
-    """Refuse a problem whose arm is not the one that the result began with."""
-    began = {row["name"]: row["nominal"] for row in document["parameters"]}
-    for key, unknown in source.problem.robot.parameters.items():
-        if not isinstance(unknown, Parameter) or unknown.nominal is None:
-            continue
-        for name, value in zip(unknown.component_names(key), np.ravel(unknown.nominal), strict=True):
-            was = began.get(name, value)
-            if abs(was - value) > 1e-9 * (1 + abs(value)):
-                what = f"{file}: its arm has changed since the calibration ('{name}' was {was:g} and is {value:g})"
-                raise CasacalError(what, "Calibrate again, or restore the file that the problem reads")
 
 
 def arm_from(source: Any) -> CalibratedArm:

@@ -31,6 +31,8 @@ COMMANDS = (
 )
 
 NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
+ALIKE = 1e-9  # mm or rad by which equal readings differ
+UNLIKELY = 0.01  # chance of touches kept to verify below which they do not agree with the others
 
 
 class Typed(NamedTuple):
@@ -132,10 +134,6 @@ def _readings(cells: Sequence[str], layout: Layout) -> dict[str, float]:
 
 def _number(text: str) -> float:
     return float(text.replace(",", "."))
-
-
-ALIKE = 1e-9  # mm or rad by which equal readings differ
-UNLIKELY = 0.01  # chance of touches kept to verify below which they do not agree with the others
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,13 @@ UNITS: Mapping[Dimension, Mapping[str, float]] = {
 
 NUMBER = r"(?P<value>[+-]?\s*(?:\d+[.,]?\d*|[.,]\d+))"
 UNIT = r"(?P<unit>mm|inch|in|um|\"|deg|\N{DEGREE SIGN}|rad)?"
+LONGEST = 200  # bytes of a line that are kept: no reading has more
+RETRY = 1.0  # seconds between two attempts to find a lost gauge again
+QUIET = 2.0
+"""Seconds without a line before one counts that nobody asked for: not what a button sends that is pressed twice, nor
+any of a stream. Nobody brings an arm to its next posture in less."""
+EVEN = 0.02  # part by which two times between lines of a gauge that sends by the clock differ
+HOLD, STREAM = 0.3, 2  # seconds in which so many more lines show that a gauge sends without end, and not its button
 
 
 @dataclass(frozen=True)
@@ -166,15 +173,6 @@ class SerialLine:
         """Give the port back."""
         self._closed.set()
         self._line.close()
-
-
-LONGEST = 200  # bytes of a line that are kept: no reading has more
-RETRY = 1.0  # seconds between two attempts to find a lost gauge again
-QUIET = 2.0
-"""Seconds without a line before one counts that nobody asked for: not what a button sends that is pressed twice, nor
-any of a stream. Nobody brings an arm to its next posture in less."""
-EVEN = 0.02  # part by which two times between lines of a gauge that sends by the clock differ
-HOLD, STREAM = 0.3, 2  # seconds in which so many more lines show that a gauge sends without end, and not its button
 
 
 class Entry(NamedTuple):

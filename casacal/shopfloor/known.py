@@ -38,6 +38,13 @@ STRAY_WEIGHT = -2.0
 AS_LIKELY = math.log(20.0)  # logarithm of evidence by which explanations may differ that are both named
 ALONG = 0.02  # noise of a touch over that of others below which its plunger lies along the face
 AS_GOOD = 4  # explanations that are named at most
+FACTORS = tuple(1.25**k for k in range(1, 18))  # noise over what was stated, among which the likeliest is looked for
+TELLING = 4.5  # logarithm of likelihoods from which on stated noise is given up: e^4.5, 90 to one
+NEAR, MOVES = 0.5, 5  # part of what it begins with by which a face may be elsewhere; times that it is moved
+FEWEST = 12  # touches from which on their scatter is looked at
+SURE = 0.95  # part of all arms whose error stays below what is promised
+POOL = 600  # touches among which the next one is looked for
+MOST = 200  # more touches than anybody makes
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,15 +105,6 @@ def examined(
     beliefs = {numbers[k]: rows.without(k).posterior(mean) for k in dict.fromkeys([raised, *closer])}
     suspects = _explained(known, beliefs, slips, rows.noise[0], float(np.median(rows.noise)))
     return Alarm.of(rows, beliefs[numbers[raised]], raised, suspects, numbers[raised])
-
-
-def judged_alone(known: Known, touch: Touch, slips: Callable[[int], list[Slip]], number: int) -> Alarm | None:
-    """Alarm about a touch that is not part of the belief; None where it agrees."""
-    if touch.kept or chance_of(known, [touch]) >= NEW:
-        return None
-    rows, belief = LinearRows.of(known, [touch]), ShiftedBelief.by(known.belief)
-    usual = float(np.median(known.bound.block.noise))
-    return Alarm.of(rows, belief, 0, _explained(known, {number: belief}, slips, rows.noise[0], usual), number)
 
 
 def refuse_along(known: Known, touch: Touch) -> None:
@@ -223,30 +221,28 @@ class SessionSetting(Value):
             return SessionState(waiting=waiting, setting=self)
         if new and touches[last].purpose == CHECK:
             others: Known | None = known
-            alarm = judged_alone(known, touches[last], slips, last)
+            alarm, touch = None, touches[last]
+            if not touch.kept and chance_of(known, [touch]) < NEW:  # it is not part of the belief
+                rows, by = LinearRows.of(known, [touch]), ShiftedBelief.by(known.belief)
+                usual = float(np.median(known.bound.block.noise))
+                suspects = _explained(known, {last: by}, slips, rows.noise[0], usual)
+                alarm = Alarm.of(rows, by, 0, suspects, last)
         else:
-            others = self._others([touches[k] for k in used], before) if new and last in used else None
+            others = None  # all touches but the last, its face included, where they determine it
+            if new and used == [last]:
+                others = known_before(self.problem, rows_of(touches[last:]), self.places, self.planned)
+            elif new and last in used:
+                rest = self.known_by([touches[k] for k in used[:-1]], before)
+                others = rest if rest is not None and rest.knows(touches[last]) else None
             alarm = examined(known, {k: touches[k] for k in used}, slips, others=others)
         off, std = (None, None) if others is None else (each[0] for each in innovations_at(others, [touches[last]]))
         if alarm is not None and alarm.touch in used:  # without which a face may be short of a touch
             known = self.known_by([touches[k] for k in used if k != alarm.touch], before)
         return SessionState(known, alarm, off, std, waiting, self)
 
-    def _others(self, used: Sequence[Touch], before: Known | None) -> Known | None:
-        """Belief from all touches but the last, its face included; None where they do not determine it."""
-        if len(used) == 1:
-            return known_before(self.problem, rows_of(used), self.places, self.planned)
-        others = self.known_by(used[:-1], before)
-        return others if others is not None and others.knows(used[-1]) else None
-
 
 Places = Mapping[str, Array]
 """Where things stand that were declared without a nominal value, by the full name of the unknown."""
-
-FACTORS = tuple(1.25**k for k in range(1, 18))  # noise over what was stated, among which the likeliest is looked for
-TELLING = 4.5  # logarithm of likelihoods from which on stated noise is given up: e^4.5, 90 to one
-NEAR, MOVES = 0.5, 5  # part of what it begins with by which a face may be elsewhere; times that it is moved
-FEWEST = 12  # touches from which on their scatter is looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -409,11 +405,6 @@ def covered(bound: BoundProblem, samples: Samples) -> NDArray[np.bool_]:
         for label, rows in instances(bound.problem.instrument, key, unknown, samples):
             found[rows] &= label is None or f"{key}.{label}" in have
     return found
-
-
-SURE = 0.95  # part of all arms whose error stays below what is promised
-POOL = 600  # touches among which the next one is looked for
-MOST = 200  # more touches than anybody makes
 
 
 @dataclass(frozen=True, eq=False)

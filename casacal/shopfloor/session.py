@@ -280,7 +280,13 @@ class Session(Value):
 
     def _after(self, touches: tuple[Touch, ...], *, new: bool = False) -> Session:
         """The session with these touches; `new` says that the last one has just come."""
-        state = self._setting.state(touches, lambda k: self._slips(touches, k), self.state.known, new=new)
+        every = (*touches, *self._all_planned)
+
+        def slips(k: int) -> list[Slip]:
+            labels = {name: tuple(dict.fromkeys(each.labels[name] for each in every)) for name in touches[k].labels}
+            return slips_of(self.problem, touches[k], self.planned(touches[k].number), labels)
+
+        state = self._setting.state(touches, slips, self.state.known, new=new)
         return replace(self, touches=touches, state=state)
 
     def _put(self, k: int, touch: Touch) -> Session:
@@ -290,11 +296,6 @@ class Session(Value):
         if self.alarm is None:
             raise CasacalError("No touch is in doubt", "Answer when there is an alarm")
         return self.alarm
-
-    def _slips(self, touches: Sequence[Touch], k: int) -> list[Slip]:
-        every = (*touches, *self._all_planned)
-        labels = {name: tuple(dict.fromkeys(each.labels[name] for each in every)) for name in touches[k].labels}
-        return slips_of(self.problem, touches[k], self.planned(touches[k].number), labels)
 
     @cached_property
     def _setting(self) -> SessionSetting:

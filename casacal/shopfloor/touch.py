@@ -24,6 +24,11 @@ from casacal.model.problem import Problem
 from casacal.planning.route import CHECK, FIT, PURPOSES
 from casacal.values import Array, FrozenMapping, Value, is_finite, read_only
 
+SHOWN = 3  # decimals of a reading in mm as people type it, and of a joint value in degrees or mm
+SESSION_COLUMNS = ("order", "touch", "purpose", "kept")
+"""Columns that a session adds to those of samples: order, number in the plan, purpose, whether it was kept."""
+KEPT, NONE = "yes", "-"
+
 
 @dataclass(frozen=True, eq=False)
 class Touch(Value):
@@ -125,9 +130,6 @@ def beyond_travel(problem: Problem, columns: Mapping[str, float]) -> str | None:
     return f"{reading:g} mm is outside the dial's range of {low:g} to {high:g} mm"
 
 
-SHOWN = 3  # decimals of a reading in mm as people type it, and of a joint value in degrees or mm
-
-
 @dataclass(frozen=True, eq=False)
 class Slip(Value):
     """A typing mistake: its kind, words, the touch without it, and the logarithm of its prior weight."""
@@ -212,12 +214,6 @@ def _mistyped(value: float) -> list[tuple[float, float]]:
     return [(math.copysign(other, value), weight) for other, weight in found]
 
 
-SESSION_COLUMNS = ("order", "touch", "purpose", "kept")
-"""Columns that a session adds to those of samples: order, number in the plan, purpose, whether it was kept."""
-
-KEPT, NONE = "yes", "-"
-
-
 @dataclass(frozen=True)
 class TouchFile(Value):
     """A file of touches to fit and, next to it, one to verify with; `mark`: the first line, which names the session."""
@@ -256,16 +252,26 @@ class TouchFile(Value):
         recover(self.path.parent)
         found: list[tuple[int, Touch]] = []
         cut = False
-        for path in self._paths:
-            if path.exists():
-                data = path.read_bytes()
-                whole = data[: data.rfind(b"\n") + 1]
-                if not f"# {self.mark}\n".encode().startswith(data):  # not even its first line is whole
-                    self._check_mark(path, data.decode("utf-8", errors="replace").lstrip().partition("\n")[0].rstrip())
-                if len(whole) < len(data):
-                    cut = True
-                    place_whole(path, partial(Path.write_bytes, data=whole), own=True) if whole else path.unlink()
-                found += self._touches(path)
+        for path in (path for path in self._paths if path.exists()):
+            data = path.read_bytes()
+            whole = data[: data.rfind(b"\n") + 1]
+            if not f"# {self.mark}\n".encode().startswith(data):  # not even its first line is whole
+                self._check_mark(path, data.decode("utf-8", errors="replace").lstrip().partition("\n")[0].rstrip())
+            if len(whole) < len(data):
+                cut = True
+                place_whole(path, partial(Path.write_bytes, data=whole), own=True) if whole else path.unlink()
+            if sum(bool(line.strip()) for line in whole.splitlines()) < 3:  # mark and header alone
+                continue
+            samples = Samples.from_file(path, self.layout)
+            missing = (NONE,) * len(samples)
+            entries = zip(*(map(str, samples.extra.get(name, missing)) for name in SESSION_COLUMNS), strict=True)
+            for k, (order, number, purpose, kept) in enumerate(entries):
+                counts = [order] if number == NONE else [order, number]
+                if not all(each.isdecimal() and len(each) < 10 for each in counts) or purpose not in PURPOSES:
+                    fix = "Restore them, or start a new file"
+                    raise SamplesError(path.as_posix(), "order, touch or purpose were changed", fix)
+                of_plan = None if number == NONE else int(number)
+                found.append((int(order), Touch.of(samples, k, of_plan, purpose, kept=kept == KEPT)))
         found.sort(key=lambda pair: pair[0])
         return [touch for _, touch in found], cut
 
@@ -306,22 +312,6 @@ class TouchFile(Value):
             what = "another program has changed this file"
             fix = "Undo the change, or calibrate with its rows as they are and continue in another file"
         raise SamplesError(path.as_posix(), what, fix)
-
-    def _touches(self, path: Path) -> list[tuple[int, Touch]]:
-        lines = path.read_bytes().splitlines() if path.exists() else []
-        if sum(bool(line.strip()) for line in lines) < 3:  # mark and header alone
-            return []
-        samples, found = Samples.from_file(path, self.layout), []
-        missing = (NONE,) * len(samples)
-        entries = zip(*(map(str, samples.extra.get(name, missing)) for name in SESSION_COLUMNS), strict=True)
-        for k, (order, number, purpose, kept) in enumerate(entries):
-            counts = [order] if number == NONE else [order, number]
-            if not all(each.isdecimal() and len(each) < 10 for each in counts) or purpose not in PURPOSES:
-                fix = "Restore them, or start a new file"
-                raise SamplesError(path.as_posix(), "order, touch or purpose were changed", fix)
-            of_plan = None if number == NONE else int(number)
-            found.append((int(order), Touch.of(samples, k, of_plan, purpose, kept=kept == KEPT)))
-        return found
 
 
 def _added(path: Path, data: bytes) -> None:

@@ -18,7 +18,7 @@ from casacal import DialOnPlane, Plane, Problem, TrackedPoint, calibrate
 from casacal.calibration.report import Workspace, report_page
 from casacal.calibration.report_pictures import Touches
 from casacal.calibration.result_json import calibration_document
-from casacal.calibration.tables import parameters
+from casacal.calibration.summary import parameters_table
 from casacal.cli.main import main
 from casacal.data.samples import Samples
 from casacal.kernels.losses import huber
@@ -53,7 +53,7 @@ def calibration(hsr):
 
 
 def test_the_share_of_the_prior_is_what_is_left_of_it(calibration):
-    table, held = parameters(calibration)
+    table, held = parameters_table(calibration)
     names = list(calibration.fit.names)
     for row in table.rows:
         j = names.index(row[0])

@@ -28,8 +28,8 @@ from casacal import (
     simulate,
     tool_point,
 )
-from casacal.calibration.mirror import mirror_image, misfits, patterns
-from casacal.calibration.result_parts import image_words
+from casacal.calibration.conventions import mirror_image, mirrors, misfits
+from casacal.calibration.result_json import image_words
 from casacal.cli.main import main
 from casacal.data.samples import Measurements
 from casacal.errors import ProblemError
@@ -113,7 +113,7 @@ def test_limits_may_tell_the_image_apart():
 
 def test_patterns_and_misfits():
     robot = six().robot
-    signs, offsets = patterns(robot)
+    signs, offsets = mirrors(robot)
     assert signs.shape == offsets.shape == (64 * 16, 6)
     assert set(np.unique(signs)) == {-1.0, 1.0}
     assert not offsets[:, [0, 5]].any()

@@ -208,7 +208,7 @@ def test_residuals_that_nothing_explains_are_looked_at_before_priors(hsr, corner
     one = ["floor" if label == "wall" else label for label in samples.labels["plane"]]
     merged = dataclasses.replace(samples, labels={**samples.labels, "plane": Labels.of(one)})
     found = calibrate(hsr.problem, merged, reference=False)
-    monkeypatch.setattr("casacal.calibration.summary.priors_contradicted", lambda _: ["they do not fit"])
+    monkeypatch.setattr("casacal.calibration.summary.priors_contradicted", lambda _: "they do not fit")
     monkeypatch.setattr("casacal.calibration.summary.wrong_with_samples", lambda _: ())
     verdict = verdict_of(found)
     assert "hardly lowered them" in verdict.words

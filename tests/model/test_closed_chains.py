@@ -9,7 +9,7 @@ from closed_forms import FORMS
 from conftest import ROOT
 
 from casacal import Joint, Parameter, Robot, Samples, bind, calibrate, compensate, load_problem
-from casacal.calibration.mirror import mirror_image
+from casacal.calibration.conventions import mirror_image
 from casacal.cli.main import main
 from casacal.errors import ProblemError, SamplesError
 from casacal.model import passive

@@ -28,7 +28,7 @@ from casacal import (
     tool_point,
     verify,
 )
-from casacal.calibration.result_parts import geometry, rows_of, spreads
+from casacal.calibration.result_json import geometry, rows_of, spreads
 from casacal.cli.main import main
 from casacal.data.repeats import MOST, copies, fitted_among, is_listing, listing
 from casacal.data.samples import Layout, joined
