@@ -83,6 +83,8 @@ def _values(
             if not value.startswith("{"):
                 targets[name] = frames[name] = f"'{found[1]}' is computed at run time"
                 continue
+            if "[" in name:
+                draft.framed.add(name.lower())
             try:
                 parts = _structure(text, found.start(3), found.end())
                 if "TOOL_NO" in parts or "BASE_NO" in parts:

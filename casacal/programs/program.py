@@ -278,6 +278,7 @@ class Draft:
         self.targets: dict[tuple[int, int], Target] = {}
         self.moves: list[tuple[int, int, Motion, tuple[int, int]]] = []
         self.puzzles: list[Puzzle] = []
+        self.framed = set[str]()  # names that stand for a tool or a base
 
     def line(self, file: int, at: int) -> int:
         """Number of the line in which a letter stands."""
@@ -324,6 +325,7 @@ class Draft:
         known: frames of the program, or why one has no value, by name in small letters.
         """
         given = self.given.tools if kind == "tool" else self.given.bases
+        self.framed.add(name.lower())
         found = given.get(name.lower(), known.get(name.lower(), f"the {kind} '{name}' is not defined here"))
         if isinstance(found, str):
             raise LookupError(found, f"Give it: --{kind} '{name}={self.form.named}'")
@@ -362,7 +364,8 @@ class Draft:
             )
             for target in self.targets.values()
         )
-        unused = [t.name for t in declared if (t.numbers[0].file, t.numbers[0].start) not in index]
+        idle = [t for t in declared if (t.numbers[0].file, t.numbers[0].start) not in index]
+        unused = [target.name for target in idle if target.name.lower() not in self.framed]
         moves = tuple(Move(file, line, motion, index[key]) for file, line, motion, key in self.moves)
         puzzles = tuple(sorted(self.puzzles, key=lambda each: (each.file, each.line)))
         return Program(
@@ -385,8 +388,13 @@ class Given(Value):
 
 
 def blanked(text: str, pattern: str) -> str:
-    """Text in which whatever a pattern finds, such as comments, is blanks: every letter keeps its place."""
-    return re.sub(pattern, lambda found: re.sub(r"[^\r\n]", " ", found[0]), text)
+    """Text in which whatever a pattern finds, such as comments, is blanks, but for the quotes around a string."""
+
+    def blanks(found: re.Match[str]) -> str:
+        empty = re.sub(r"[^\r\n]", " ", found[0])
+        return f'"{empty[1:-1]}"' if found[0].startswith('"') else empty
+
+    return re.sub(pattern, blanks, text)
 
 
 Tree = tuple[int, int] | list["Tree"]
