@@ -32,7 +32,7 @@ LIMITS = {
     "krl": (170, 190, 210, 300, 120, 400),
     "urscript": (360,) * 6,
     "fanuc": (170, 100, 120, 300, 120, 400),
-    "yaskawa": (170, 100, 120, 300, 120, 400),
+    "yaskawa": (170, 100, 120, 300, 120, 360),
 }
 DRAWINGS = {"rapid": IRB, "krl": KR, "urscript": UR, "fanuc": IRB, "yaskawa": IRB}
 ENDINGS = {"rapid": ".mod", "krl": ".src", "urscript": ".script", "fanuc": ".LS", "yaskawa": ".JBI"}
@@ -93,10 +93,9 @@ def vector_turn(v):
 
 
 def vector_of(turn):
-    cosine = max(-1.0, min(1.0, (np.trace(turn) - 1) / 2))
-    angle = math.acos(cosine)
-    w = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
-    return w if angle < 1e-9 else w * angle / math.sin(angle)
+    w, *axis = quaternion_of(turn)
+    size = math.sqrt(sum(v * v for v in axis))
+    return np.array(axis) * (2 * math.atan2(size, w) / size if size > 1e-300 else 2.0)
 
 
 def quaternion_turn(q):
@@ -111,10 +110,14 @@ def quaternion_turn(q):
 
 
 def quaternion_of(turn):
-    v = vector_of(turn)
-    angle = np.linalg.norm(v)
-    axis = v / angle if angle else np.zeros(3)
-    return np.concatenate([[math.cos(angle / 2)], math.sin(angle / 2) * axis])
+    """Shepperd's method: the largest of the four components is found first."""
+    squares = np.array([1 + np.trace(turn), *(1 + 2 * turn[i, i] - np.trace(turn) for i in range(3))])
+    first = int(np.argmax(squares))
+    x, y, z = turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]
+    xy, yz, zx = turn[0, 1] + turn[1, 0], turn[1, 2] + turn[2, 1], turn[2, 0] + turn[0, 2]
+    rows = [[squares[0], x, y, z], [x, squares[1], xy, zx], [y, xy, squares[2], yz], [z, zx, yz, squares[3]]]
+    q = np.array(rows[first])
+    return q / np.linalg.norm(q) * (1 if q[0] >= 0 else -1)
 
 
 def zyx_of(turn):
@@ -216,6 +219,9 @@ def postures(language, count, seed):
             _, _, front, elbow = sides(language, joints)
             if front < 150 or elbow < 1.5e5:
                 continue
+            border = np.degrees(joints[[0, 3, 5]])
+            if language == "yaskawa" and (np.abs(np.abs(border) - 180).min() < 2 or abs(math.cos(joints[3])) < 0.05):
+                continue  # its RCONF belongs to all that follow it
         found.append(joints)
     return np.array(found)
 

@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from casacal.deployment.arm import CalibratedArm, local_coordinates, row_constants
-from casacal.deployment.compensate import LARGEST, Outcome, Rounding, Targets, compensate, refuse_untrusted
+from casacal.deployment.compensate import (
+    LARGEST,
+    Outcome,
+    Rounding,
+    Targets,
+    compensate,
+    refuse_untrusted,
+    targets_from,
+)
 from casacal.deployment.inverse_kinematics import PosedArm
 from casacal.deployment.predict import Prediction, predict
 from casacal.deployment.result_file import arm_from
 from casacal.errors import CasacalError, RefusedResultError, harmless
+from casacal.files import MADE, write_text
+from casacal.model.kinematics import quaternions_of
 from casacal.programs.postures import agreement, bits, controller_joints
 from casacal.programs.program import SUFFIX, Move, Number, Program, Target
 from casacal.programs.read import DIALECTS, read_again, read_program
@@ -118,7 +129,7 @@ class CorrectedProgram(Value):
     that are not REACHED stay as they were, `why` by index. correction_mm: how far the arm was from what was meant, at
     the tip, of joint targets without a tool at the flange. correction_rad: largest motion of a joint. left_mm: what the
     digits of the file leave of that, worked out again from the corrected texts. expected_mm: standard deviation of the
-    flange's position, apart from that of the base; NaN where the result tells none.
+    flange's position, apart from that of the base; NaN where the result tells none. missing: as of a `Prediction`.
     """
 
     program: Program
@@ -129,6 +140,7 @@ class CorrectedProgram(Value):
     correction_rad: Array
     left_mm: Array
     expected_mm: Array
+    missing: Mapping[str, tuple[str, ...]]
 
     def __repr__(self) -> str:
         return f"<CorrectedProgram {self.program.paths[0]}: {self.reached.sum()} of {len(self.outcomes)} corrected>"
@@ -221,6 +233,7 @@ class Steered(Value):
     outcomes: tuple[Outcome, ...]
     meant: Array
     expected_mm: Array
+    missing: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def _steered(
@@ -231,8 +244,8 @@ def _steered(
     if not len(joints):
         return Steered(joints, (), np.zeros((0, 4, 4)), np.zeros(0))
     if not inverse and other is None:
-        found = compensate(result, joints, largest=largest, rounding=FINE)
-        return Steered(found.joints, found.outcomes, run.flanges[known], found.expected_mm)
+        found = compensate(result, targets_from(joints, result.source), largest=largest, rounding=FINE)
+        return Steered(found.joints, found.outcomes, run.flanges[known], found.expected_mm, found.missing)
     there = predict(result, joints, std=inverse)
     meant = there.poses
     if other is not None:
@@ -240,7 +253,7 @@ def _steered(
         lines, text = tuple(range(1, len(joints) + 1)), ("",) * len(joints)
         targets = Targets(joints, (meant[:, :3, 3], meant[:, :3, :3]), lines, text, run.program.paths[0], "")
         found = compensate(other, targets, largest=largest, rounding=FINE)
-        return Steered(found.joints, found.outcomes, meant, found.expected_mm)
+        return Steered(found.joints, found.outcomes, meant, found.expected_mm, found.missing)
     at = meant[:, :3, 3], meant[:, :3, :3]
     moved = run.arm.reach(*at, joints, steps=STEPS)
     taken, limited = run.arm.takes(moved, *at), run.arm.at_limit(moved, *at)
@@ -250,7 +263,7 @@ def _steered(
         for jump, good, limit in zip(jumps, taken, limited, strict=True)
     ]
     assert there.std is not None
-    return Steered(moved, tuple(ended), meant, there.std)
+    return Steered(moved, tuple(ended), meant, there.std, there.missing)
 
 
 STEPS = 150  # at most, as of `compensate`
@@ -349,7 +362,7 @@ def _proven(
             there = predict(other or result, values, nominal=inverse).poses
             into[known] = np.linalg.norm((there @ tools)[:, :3, 3] - tip, axis=1)
         motion[known], expected[known] = np.abs(done.joints - run.joints[known]).max(axis=1), done.expected_mm
-    return CorrectedProgram(program, texts, outcomes, why, correction, motion, left, expected)
+    return CorrectedProgram(program, texts, outcomes, why, correction, motion, left, expected, done.missing)
 
 
 def predict_program(
@@ -364,3 +377,22 @@ def predict_program(
     run = run_program(result, program, begin=None if begin is None else np.asarray(begin, dtype=np.float64))
     safe = np.where(np.isfinite(run.joints), run.joints, 0.0)
     return run, predict(result, safe, std=result.denial is None, force=force)
+
+
+def write_program_prediction(path: str | Path, run: ProgramRun, prediction: Prediction) -> None:
+    """Write a row for each move: its line, target and motion; pose of the tool in force (of joints without one, of the
+    flange) in the base frame; how far that is from where the program means it; standard deviation of the flange.
+    """
+    lines = [f"# predicted moves of {run.program.paths[0]}, {MADE}: the tool in force, in the base frame"]
+    lines += [] if prediction.denial is None else [f"# WARNING, against the verdict: {prediction.denial}"]
+    lines = [" ".join(line.split()).encode("unicode_escape").decode("ascii") for line in lines]
+    lines.append("line,target,motion,x_mm,y_mm,z_mm,qw,qx,qy,qz,off_mm,std_mm")
+    tips, meant = prediction.poses @ run.tools, run.flanges @ run.tools
+    turns, off = quaternions_of(tips[:, :3, :3]), np.linalg.norm((tips - meant)[:, :3, 3], axis=1)
+    for move in run.program.moves:
+        if (i := move.target) not in run.why:
+            std = "" if prediction.std is None else f"{prediction.std[i]:.6f}"
+            numbers = [f"{v:.6f}" for v in tips[i, :3, 3]] + [f"{v:.12f}" for v in turns[i]] + [f"{off[i]:.6f}", std]
+            name = run.program.targets[i].name.replace('"', "'").replace(",", ";")
+            lines.append(",".join([str(move.line), name, move.motion, *numbers]))
+    write_text(path, "\n".join(lines) + "\n")

@@ -89,6 +89,9 @@ def controller_joints(
             beside = last if target.near is None else np.array(target.near)
             found[i] = _nearest(arm, target, choices[i], beside, flanges[i])
         last = found[i] if np.isfinite(found[i]).all() else last
+    rows = np.array([i for i in posed if np.isfinite(found[i]).all()], dtype=np.intp)
+    if rows.size:  # they take their poses to a tolerance so far
+        found[rows] = arm.reach(flanges[rows, :3, 3], flanges[rows, :3, :3], found[rows])
     return found
 
 

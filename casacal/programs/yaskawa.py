@@ -28,7 +28,7 @@ MOTIONS: Mapping[str, Motion] = {"MOVJ": "joint", "MOVL": "linear", "MOVC": "via
 def configuration(joints: Array, bits: Array) -> Array:
     """No-flip (axis R turned over), lower arm, rear; then whether axes R, T and S are beyond half a turn."""
     flipped = np.cos(joints[:, 3]) < 0
-    beyond = np.abs(joints[:, [3, 5, 0]]) > np.pi
+    beyond = np.clip(np.ceil(np.abs(joints[:, [3, 5, 0]]) / np.pi) - 1, 0, 2)  # two turns it cannot say
     return np.column_stack([flipped, bits[:, 1], bits[:, 0], beyond]).astype(int)
 
 
