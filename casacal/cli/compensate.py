@@ -212,17 +212,12 @@ def _tell(options: argparse.Namespace, arm: CalibratedArm, corrected: CorrectedP
         "unused": list(program.unused),
         "diff": corrected.diff if options.diff else None,
     }
-    done, sizes = (
-        corrected.reached,
-        [
-            f"{figures(float(v[corrected.reached].max(initial=0.0)), 2)} mm"
-            for v in (corrected.correction_mm, corrected.left_mm)
-        ],
+    largest, missed = (
+        f"{figures(float(values[corrected.reached].max(initial=0.0)), 2)} mm"
+        for values in (corrected.correction_mm, corrected.left_mm)
     )
-    said = [
-        f"{counted(len(moves), 'move')} to {counted(int(done.sum()), 'target')} corrected, by up to {sizes[0]}; as written "
-        f"they miss what was meant by up to {sizes[1]}"
-    ]
+    count = f"{counted(len(moves), 'move')} to {counted(int(corrected.reached.sum()), 'target')}"
+    said = [f"{count} corrected, by up to {largest}; as written they miss what was meant by up to {missed}"]
     for each in moves[:SHOWN_MOVES]:
         said.append(
             f"  line {each['line']:<6} {each['motion']:<7} {each['target']:<20} {each['correction_mm']:8.3f} mm"

@@ -35,9 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Write the pose x_mm,y_mm,z_mm,qw,qx,qy,qz of a calibrated arm at each row of joint values, in the base frame. "
         "The flange is what robot.pose of the problem gives; the tip is where the instrument touches, including tool "
-        f"and, where JOINTS has that column, the reading. Exit 1, and no file, for a result that must not be "
-        "used, unless --force is given. Of a robot program in place of JOINTS, {PROGRAM}, it says move by move where the tool "
-        "in force really goes, how far off that is, and the flange's standard deviation."
+        "and, where JOINTS has that column, the reading. Exit 1, and no file, for a result that must not be "
+        f"used, unless --force is given. Of a robot program in place of JOINTS, {PROGRAM}, it says move by move "
+        "where the tool in force really goes, how far off that is, and the flange's standard deviation."
     )
     add(parser, *RESULT)
     add(parser, *INSTRUMENT)

@@ -380,8 +380,9 @@ def predict_program(
 
 
 def write_program_prediction(path: str | Path, run: ProgramRun, prediction: Prediction) -> None:
-    """Write a row for each move: its line, target and motion; pose of the tool in force (of joints without one, of the
-    flange) in the base frame; how far that is from where the program means it; standard deviation of the flange.
+    """Write a row for each move: line, target, motion, pose, how far off it is, the flange's standard deviation.
+
+    Poses are of the tool in force, of joints without one of the flange, in the base frame.
     """
     lines = [f"# predicted moves of {run.program.paths[0]}, {MADE}: the tool in force, in the base frame"]
     lines += [] if prediction.denial is None else [f"# WARNING, against the verdict: {prediction.denial}"]

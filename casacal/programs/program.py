@@ -347,7 +347,7 @@ class Draft:
         elif known.kind == "pose":
             pairs = ((known.base, base), (known.tool, tool))
             if not all(np.allclose(one, two, atol=1e-9) for one, two in pairs):  # type: ignore[arg-type]
-                what = f"'{target.name}' is reached here with another tool or base than before: no one correction suits both"
+                what = f"'{target.name}' is reached with another tool or base than before: no one correction suits both"
                 self.puzzle(file, at, what, "Give each use a target of its own")
                 return
         self.moves.append((file, self.line(file, at), motion, key))
