@@ -6,6 +6,7 @@ Nothing here reads with casacal: angles, configurations, inverse kinematics and 
 import math
 import re
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 from oracles import dh_chain
@@ -39,12 +40,17 @@ ENDINGS = {"rapid": ".mod", "krl": ".src", "urscript": ".script", "fanuc": ".LS"
 PULSES = (1435.5, 1435.5, 1300.25, -1000.0, 980.0, 620.0)
 
 
+@cache
+def problem_of(language):
+    """A language's arm as drawn."""
+    joints = [Joint("revolute", *deg(-limit, limit)) for limit in LIMITS[language]]
+    return Problem(Robot.from_dh(language, **DRAWINGS[language], joints=joints), DialOnPlane(noise_std=0.01))
+
+
 def arm_of(language, changes=None):
     """A result of a language's arm whose DH numbers differ from the drawing by (24,), known exactly."""
-    drawing, limits = DRAWINGS[language], LIMITS[language]
-    joints = [Joint("revolute", *deg(-limit, limit)) for limit in limits]
-    robot = Robot.from_dh(language, **drawing, joints=joints)
-    problem = Problem(robot, DialOnPlane(noise_std=0.01))
+    problem = problem_of(language)
+    robot = problem.robot
     names = [name for key, u in robot.parameters.items() for name in u.names(key)]
     nominal = np.concatenate([np.atleast_1d(u.nominal) for u in robot.parameters.values()])
     changes = np.zeros(len(names)) if changes is None else changes
@@ -188,17 +194,17 @@ def sides(language, joints):
 
 def configuration(language, joints):
     """What the controller writes as configuration."""
-    behind, elbow, _, _ = sides(language, joints)
+    behind, elbow = (int(each) for each in sides(language, joints)[:2])
     quadrant = [math.floor(math.degrees(joints[k]) / 90) for k in (0, 3, 5)]
     if language == "rapid":
-        return [*quadrant, 4 * behind + 2 * elbow + (joints[4] < 0)]
+        return [*quadrant, 4 * behind + 2 * elbow + int(joints[4] < 0)]
     if language == "krl":
-        return [behind + 2 * (not elbow), sum((joints[k] < 0) << k for k in range(6))]
+        return [behind + 2 * (not elbow), sum(int(joints[k] < 0) << k for k in range(6))]
     if language == "fanuc":
         turns = [math.floor((math.degrees(joints[k]) + 180) / 360) for k in (0, 3, 5)]
         return ["N" if joints[4] < 0 else "F", "D" if elbow else "U", "B" if behind else "T", *turns]
     flip = math.cos(joints[3]) < 0
-    return [int(flip), int(elbow), int(behind), *(int(abs(joints[k]) > math.pi) for k in (3, 5, 0))]
+    return [int(flip), elbow, behind, *(int(abs(joints[k]) > math.pi) for k in (3, 5, 0))]
 
 
 def postures(language, count, seed):
@@ -265,15 +271,19 @@ def _listed(values, digits):
 
 def _goal(made, key, kind, q, tool=None, base=None):
     made.goals[key] = (kind, q, np.eye(4) if tool is None else tool, np.eye(4) if base is None else base)
-    return np.linalg.inv(np.eye(4) if base is None else base) @ flange(made.language, q) @ (
-        np.eye(4) if tool is None else tool
+    return (
+        np.linalg.inv(np.eye(4) if base is None else base)
+        @ flange(made.language, q)
+        @ (np.eye(4) if tool is None else tool)
     )
 
 
 def _rapid(made, joints, pairs, digits):
     data, code = [], []
     for k, ((tool, _), (base, _)) in enumerate(pairs):
-        data.append(f"  PERS tooldata tGrip{k}:=[TRUE,[[{_listed(tool[:3], 6)}],[{_listed(tool[3:], 6)}]],[4.5,[0,0,80],[1,0,0,0],0,0,0]];")
+        data.append(
+            f"  PERS tooldata tGrip{k}:=[TRUE,[[{_listed(tool[:3], 6)}],[{_listed(tool[3:], 6)}]],[4.5,[0,0,80],[1,0,0,0],0,0,0]];"
+        )
         user, work = ("[[0,0,0],[1,0,0,0]]", f"[[{_listed(base[:3], 6)}],[{_listed(base[3:], 6)}]]")
         user, work = (user, work) if k else (work, user)
         data.append(f'  TASK PERS wobjdata wTable{k}:=[FALSE,TRUE,"",{user},{work}];')
@@ -283,7 +293,9 @@ def _rapid(made, joints, pairs, digits):
         (_, tool), (_, base) = pairs[k]
         if i % 9 == 0:
             _goal(made, f"j{i}", "joints", q)
-            data.append(f"  CONST jointtarget j{i}:=[[{_listed(np.degrees(q), digits)}],[9E+09,9E+09,9E+09,9E+09,9E+09,9E+09]];")
+            data.append(
+                f"  CONST jointtarget j{i}:=[[{_listed(np.degrees(q), digits)}],[9E+09,9E+09,9E+09,9E+09,9E+09,9E+09]];"
+            )
             code.append(f"    MoveAbsJ j{i}\\NoEOffs, v1000, z50, {end};")
             continue
         numbers = numbers_of("rapid", _goal(made, name, "pose", q, tool, base))
@@ -296,15 +308,44 @@ def _rapid(made, joints, pairs, digits):
         elif i % 9 == 4 and (i + 1) // 10 % 2 == k and (i + 1) % 9 and i + 1 < len(joints):
             circle = True
         else:
-            code.append(f"    {('MoveL', 'MoveJ', 'MoveLDO')[i % 3]} {name},v500,z10,{end}{',doGun,1' if i % 3 == 2 else ''};")
+            code.append(
+                f"    {('MoveL', 'MoveJ', 'MoveLDO')[i % 3]} {name},v500,z10,{end}{',doGun,1' if i % 3 == 2 else ''};"
+            )
         if i % 5 == 0:
-            code += [f'    TPWrite "next MoveL {name}, v5, fine, tool0; [[1,2,3]]";', "    WaitTime 0.5;", "    IF diPart=1 THEN", "      Set doGrip;", "    ENDIF"]
-    made.files[".mod"] = "\n".join(["%%%", "  VERSION:1", "%%%", "MODULE Cell", *data, "  PROC main()", "    ConfL\\On;", *code, "  ENDPROC", "ENDMODULE", ""])
+            code += [
+                f'    TPWrite "next MoveL {name}, v5, fine, tool0; [[1,2,3]]";',
+                "    WaitTime 0.5;",
+                "    IF diPart=1 THEN",
+                "      Set doGrip;",
+                "    ENDIF",
+            ]
+    made.files[".mod"] = "\n".join(
+        [
+            "%%%",
+            "  VERSION:1",
+            "%%%",
+            "MODULE Cell",
+            *data,
+            "  PROC main()",
+            "    ConfL\\On;",
+            *code,
+            "  ENDPROC",
+            "ENDMODULE",
+            "",
+        ]
+    )
 
 
 def _krl(made, joints, pairs, digits):
-    data, code = ["DEFDAT cell PUBLIC"], ["&ACCESS RVP", "DEF cell ( )", ";FOLD INI", "  BAS (#INITMOV,0 )", ";ENDFOLD (INI)"]
-    rows = [f"{{X {t[0]:.6f},Y {t[1]:.6f},Z {t[2]:.6f},A {t[3]:.6f},B {t[4]:.6f},C {t[5]:.6f}}}" for pair in pairs for t, _ in pair]
+    data, code = (
+        ["DEFDAT cell PUBLIC"],
+        ["&ACCESS RVP", "DEF cell ( )", ";FOLD INI", "  BAS (#INITMOV,0 )", ";ENDFOLD (INI)"],
+    )
+    rows = [
+        f"{{X {t[0]:.6f},Y {t[1]:.6f},Z {t[2]:.6f},A {t[3]:.6f},B {t[4]:.6f},C {t[5]:.6f}}}"
+        for pair in pairs
+        for t, _ in pair
+    ]
     code += [f"TOOL_DATA[1]={rows[0]}", f"BASE_DATA[1]={rows[1]}", f"DECL FRAME fWork", f"fWork={rows[3]}"]
     made.options["tools"] = {"TOOL_DATA[2]": pairs[1][0][0]}
     circle = ""
@@ -324,7 +365,7 @@ def _krl(made, joints, pairs, digits):
         shown = ",".join(f"{n} {v:.{digits}f}" for n, v in zip("XYZABC", numbers, strict=True))
         body = f"{{{shown},S {status},T {turn},E1 0.0,E2 0.0,E3 0.0,E4 0.0,E5 0.0,E6 0.0}}"
         if i % 4 == 3:
-            data.append(f"DECL FDAT FP{i}={{TOOL_NO {k + 1},BASE_NO 1,IPO_FRAME #BASE,POINT2[] \" \",TQ_STATE FALSE}}")
+            data.append(f'DECL FDAT FP{i}={{TOOL_NO {k + 1},BASE_NO 1,IPO_FRAME #BASE,POINT2[] " ",TQ_STATE FALSE}}')
         if i % 7 == 3 and not circle:  # inline
             made.goals[f"inline {i}"] = made.goals.pop(f"XP{i}")
             code.append(f"{'SPTP' if i % 2 else 'PTP'} {body[:1]}E6POS: {body[1:]} C_PTP ;inline {i}")
@@ -336,11 +377,26 @@ def _krl(made, joints, pairs, digits):
         elif i % 9 == 4 and (i + 1) % 10 and (i + 1) % 9 and (i + 1) % 7 != 3 and i + 1 < len(joints):
             circle = f"XP{i}"
         elif i % 4 == 3 and k == 0:
-            code += [f";FOLD LIN P{i} Vel=2 m/s CPDAT1 Tool[1]:grip Base[1]:table;%{{PE}}%R 8.3,%P 1:LIN, 2:P{i}", "$BWDSTART=FALSE", "LDAT_ACT=LCPDAT1", f"FDAT_ACT=FP{i}", "BAS(#CP_PARAMS,2)", f"LIN XP{i}", ";ENDFOLD"]
+            code += [
+                f";FOLD LIN P{i} Vel=2 m/s CPDAT1 Tool[1]:grip Base[1]:table;%{{PE}}%R 8.3,%P 1:LIN, 2:P{i}",
+                "$BWDSTART=FALSE",
+                "LDAT_ACT=LCPDAT1",
+                f"FDAT_ACT=FP{i}",
+                "BAS(#CP_PARAMS,2)",
+                f"LIN XP{i}",
+                ";ENDFOLD",
+            ]
         else:
             code.append(f"{('LIN', 'PTP', 'SLIN')[i % 3]} XP{i}{' C_DIS' if i % 3 == 0 else ''}")
         if i % 6 == 0:
-            code += ["WAIT SEC 0.2", f'MSG_TXT[]="PTP XP{i} {{X 1,Y 2}}"', "$OUT[17]=TRUE ; then LIN XP1", "IF $IN[3]==TRUE THEN", "  counter=counter+1", "ENDIF"]
+            code += [
+                "WAIT SEC 0.2",
+                f'MSG_TXT[]="PTP XP{i} {{X 1,Y 2}}"',
+                "$OUT[17]=TRUE ; then LIN XP1",
+                "IF $IN[3]==TRUE THEN",
+                "  counter=counter+1",
+                "ENDIF",
+            ]
     made.files[".src"] = "\n".join([*code, "END", ""])
     made.files[".dat"] = "\n".join([*data, "ENDDAT", ""])
 
@@ -374,7 +430,13 @@ def _urscript(made, joints, pairs, digits):
         else:
             code.append(f"  move{'lp'[i % 2]}(w{i}, a=1.2, v=0.25, r=0)")
         if i % 4 == 0:
-            code += ["  set_digital_out(2, True)", "  sleep(0.3)", "  if get_digital_in(1) == True:", f'    textmsg("at ", w{i})', "  end"]
+            code += [
+                "  set_digital_out(2, True)",
+                "  sleep(0.3)",
+                "  if get_digital_in(1) == True:",
+                f'    textmsg("at ", w{i})',
+                "  end",
+            ]
         nearby = q
     made.files[".script"] = "\n".join([*code, "end", ""])
 
@@ -399,7 +461,14 @@ def _fanuc(made, joints, pairs, digits):
         if i % 9 == 0:
             _goal(made, i, "joints", q)
             names = [f"J{j}= {v:9.{digits}f} deg" for j, v in enumerate(np.degrees(q), 1)]
-            data += [f"{label}{{", "   GP1:", f"\tUF : {k + 1}, UT : {k + 1},\t", "\t" + ",\t".join(names[:3]) + ",", "\t" + ",\t".join(names[3:]), "};"]
+            data += [
+                f"{label}{{",
+                "   GP1:",
+                f"\tUF : {k + 1}, UT : {k + 1},\t",
+                "\t" + ",\t".join(names[:3]) + ",",
+                "\t" + ",\t".join(names[3:]),
+                "};",
+            ]
             say(f"J {move} 100% FINE   ")
             continue
         (_, tool), (_, base) = pairs[k]
@@ -423,7 +492,15 @@ def _fanuc(made, joints, pairs, digits):
             say("  !L P[1] 100mm/sec FINE")
             say("  DO[3:gun P[2]]=ON")
             say("  WAIT   .30(sec)")
-    head = ["/PROG  CELL", "/ATTR", "OWNER\t\t= MNEDITOR;", 'COMMENT\t\t= "P[1] = 5";', f"LINE_COUNT\t= {len(code)};", "/APPL", "/MN"]
+    head = [
+        "/PROG  CELL",
+        "/ATTR",
+        "OWNER\t\t= MNEDITOR;",
+        'COMMENT\t\t= "P[1] = 5";',
+        f"LINE_COUNT\t= {len(code)};",
+        "/APPL",
+        "/MN",
+    ]
     made.files[".LS"] = "\n".join([*head, *code, "/POS", *data, "/END", ""])
 
 
@@ -445,11 +522,27 @@ def _yaskawa(made, joints, pairs, digits):
         user = i % 2
         pose = _goal(made, name, "pose", q, tool, base if user else None)
         data += [f"///USER {k + 1}"] * user + [f"///POSTYPE {'USER' if user else 'ROBOT'}", "///RECTAN"]
-        data += [f"///RCONF {','.join(map(str, configuration('yaskawa', q)))},0,0", f"{name}={_listed(numbers_of('yaskawa', pose), digits)}"]
+        data += [
+            f"///RCONF {','.join(map(str, configuration('yaskawa', q)))},0,0",
+            f"{name}={_listed(numbers_of('yaskawa', pose), digits)}",
+        ]
         code.append(f"{('MOVL', 'MOVJ', 'MOVC', 'MOVS')[i % 4]} {name} {'VJ=10.0' if i % 4 == 1 else 'V=138.0'} PL=0")
         if i % 6 == 0:
-            code += [f"'MOVL C00001 V=1", "DOUT OT#(3) ON", "TIMER T=0.30", "SET B000 1"]
-    made.files[".JBI"] = "\n".join([*data, "//INST", "///DATE 2020/01/31 12:00", "///COMM MOVL C00001", "///ATTR SC,RW", "///GROUP1 RB1", "NOP", *code, "END", ""])
+            code += ["'MOVL C00001 V=1", "DOUT OT#(3) ON", "TIMER T=0.30", "SET B000 1"]
+    made.files[".JBI"] = "\n".join(
+        [
+            *data,
+            "//INST",
+            "///DATE 2020/01/31 12:00",
+            "///COMM MOVL C00001",
+            "///ATTR SC,RW",
+            "///GROUP1 RB1",
+            "NOP",
+            *code,
+            "END",
+            "",
+        ]
+    )
 
 
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
@@ -463,13 +556,23 @@ def read_back(made, files):
             row = re.search(rf"target {key}\s*:=\s*(\[[^!;]*);", text)[1]
         elif made.language == "krl":
             name = str(key)
-            row = re.search(rf"[^\n]*;{name}\s", text)[0] if name.startswith("inline") else re.search(rf" {name}=([^\n]*)", text)[1]
+            row = (
+                re.search(rf"[^\n]*;{name}\s", text)[0]
+                if name.startswith("inline")
+                else re.search(rf" {name}=([^\n]*)", text)[1]
+            )
             row = row.partition(" C_PTP")[0].replace("E6POS", "")
         elif made.language == "urscript":
             row = re.search(rf"{key}\s?=([^\n#]*)", text)[1].replace("d2r", "")
         elif made.language == "fanuc":
-            row = re.search(rf"(?s)\nP\[{key}(?::[^\]]*\])?\]?\{{(.*?)\}}", text)[1].partition("UT")[2].partition(",")[2]
-            row = row if kind == "joints" else re.sub("[NFUDTB]", lambda m: str(ord(m[0])), row.partition("'")[2]).replace(" P ", "")
+            row = (
+                re.search(rf"(?s)\nP\[{key}(?::[^\]]*\])?\]?\{{(.*?)\}}", text)[1].partition("UT")[2].partition(",")[2]
+            )
+            row = (
+                row
+                if kind == "joints"
+                else re.sub("[NFUDTB]", lambda m: str(ord(m[0])), row.partition("'")[2]).replace(" P ", "")
+            )
         else:
             row = re.search(rf"\n{key}=([^\n\r]*)", text)[1]
         row = re.sub(r"\b[A-Z]\d\s*=?(?=\s)|J\d=", " ", row)

@@ -293,8 +293,8 @@ def _kept_configuration(run: ProgramRun, known: Which, done: Steered) -> dict[in
         target = run.program.targets[i]
         free = {k for _, indices in target.turns for k in indices}
         fixed = [None if k in free else entry for k, entry in enumerate(target.config)]
-        kept = agreement(dialect, done.joints[[row]], sides[[row]], fixed).all()
-        if done.outcomes[row] is Outcome.REACHED and (not kept or before[row] * after[row] < 0):
+        kept = agreement(dialect, done.joints[[row]], sides[[row]], fixed).all() and before[row] * after[row] > 0
+        if target.kind == "pose" and done.outcomes[row] is Outcome.REACHED and not kept:
             found[i] = (
                 "the correction jumps to another configuration of the arm, through a singularity or past a border"
             )

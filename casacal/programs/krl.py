@@ -189,7 +189,7 @@ def _moves(
     for found in re.finditer(r"(?<![\w.$#])\w+", text):
         if inside[found.start()] or not isinstance(targets.get(found[0].upper()), Target):
             continue
-        if not re.compile(r"(?m)[ \t]*(\.|=|$)").match(text, found.end()):
+        if not re.compile(r"(?m)[ \t]*(\.|=|\r?$)").match(text, found.end()):
             what = f"what is done with the target '{found[0]}' here is not understood"
             draft.puzzle(file, found.start(), what, "Move to it with PTP, LIN, CIRC, SPTP, SLIN, SCIRC or SPL")
 

@@ -17,7 +17,7 @@ from casacal.programs.program import Target
 from casacal.programs.read import Dialect
 from casacal.values import Array
 
-BANK = 1 << 15  # random postures among which starts are looked for
+BANK = 1 << 13  # random postures among which starts are looked for
 STARTS = (4, 16, 48)  # starts per pose and branch in each round: the next is for poses that found nothing
 BORDER = np.radians(0.05)  # how far beyond the border of its configuration a joint may stand: controllers round
 
@@ -56,9 +56,10 @@ def agreement(
     border: how far (rad) a joint may stand beyond the border of an entry.
     """
     near = np.array([dialect.configuration(joints + step, sides) for step in (0.0, border, -border)])
-    wanted = [(near[:, :, k] == entry).any(axis=0) for k, entry in enumerate(config) if entry is not None]
     fits = np.ones((len(joints), len(config)), dtype=bool)
-    fits[:, [k for k, entry in enumerate(config) if entry is not None]] = np.array(wanted).reshape(-1, len(joints)).T
+    for k, entry in enumerate(config):
+        if entry is not None:
+            fits[:, k] = (near[:, :, k] == entry).any(axis=0)
     return fits
 
 
