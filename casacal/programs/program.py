@@ -9,10 +9,8 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from bisect import bisect
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -24,7 +22,6 @@ from casacal.wording import shortened
 
 NUMERAL = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 MOST_DIGITS = 6  # decimals that the mantissa of a number with an exponent has at least
-MOST_BYTES = 1 << 25  # no controller holds a program of such a size
 DEGREE = math.pi / 180
 SUFFIX = {"rapid": "RAPID", "krl": "KRL", "urscript": "URScript", "fanuc": "FANUC TP", "yaskawa": "Yaskawa INFORM"}
 
@@ -53,14 +50,15 @@ class Form:
         return (self.unit,) * 3 + (DEGREE if self.turned in ("zyx", "xyz") else 1.0,) * turns
 
     def pose(self, numbers: Sequence[float]) -> Array:
-        """The transform (4, 4; mm) that numbers stand for; raises ValueError for what is none."""
+        """The transform (4, 4; mm) that numbers stand for; raises CasacalError for what is none."""
         values = np.array(numbers, dtype=np.float64) * self.units
         found, turn = np.eye(4), values[3:]
         if not np.isfinite(values).all():
-            raise ValueError("a number is not finite")
+            raise CasacalError("a number of a pose is not finite", f"Give {self.named}")
         if self.turned == "quaternion":
             if abs(np.linalg.norm(turn) - 1) > UNIT_LENGTH:
-                raise ValueError(f"its quaternion has the length {np.linalg.norm(turn):.6g}, not 1")
+                what = f"a quaternion has the length {np.linalg.norm(turn):.6g}, not 1"
+                raise CasacalError(what, "Give a unit quaternion")
             found[:3, :3] = Rotation.from_quat(np.roll(turn, -1)).as_matrix()
         elif self.turned == "vector":
             found[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
@@ -195,6 +193,15 @@ class Puzzle:
 
 
 @dataclass(frozen=True, eq=False)
+class Given(Value):
+    """What a program leaves to its controller: tools and bases (4, 4; mm) by name in small letters, pulses a degree."""
+
+    tools: Mapping[str, Array]
+    bases: Mapping[str, Array]
+    pulses: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class Program(Value):
     """A program: paths and texts of its files, the targets that moves go to, the moves in the order of their lines.
 
@@ -253,206 +260,3 @@ def readable_text(text: str) -> str:
         return text.encode("latin-1").decode("utf-8-sig")
     except UnicodeError:
         return text
-
-
-def read_bytes(path: Path) -> str:
-    """A file's bytes as letters; raises CasacalError for what is no program."""
-    try:
-        if path.stat().st_size > MOST_BYTES:
-            raise CasacalError(f"'{path}' is larger than any program", "Name a program")
-        data = path.read_bytes()
-    except OSError as error:
-        raise CasacalError(f"'{path}' cannot be read ({error.strerror})", "Check the path") from error
-    if b"\x00" in data:
-        raise CasacalError(f"'{path}' is not a text file (it holds zero bytes)", "Give the program as text")
-    return data.decode("latin-1")
-
-
-class Draft:
-    """A program while it is read: the file under way, and what was found so far."""
-
-    def __init__(self, language: str, form: Form, files: Mapping[str, str], given: Given) -> None:
-        self.language, self.form, self.given = language, form, given
-        self.paths, self.texts = tuple(files), tuple(files.values())
-        self.ends = [[found.end() for found in re.finditer(r"\r\n|\n|\r", text)] for text in self.texts]
-        self.targets: dict[tuple[int, int], Target] = {}
-        self.moves: list[tuple[int, int, Motion, tuple[int, int]]] = []
-        self.puzzles: list[Puzzle] = []
-        self.framed = set[str]()  # names that stand for a tool or a base
-
-    def line(self, file: int, at: int) -> int:
-        """Number of the line in which a letter stands."""
-        return bisect(self.ends[file], at) + 1
-
-    def puzzle(self, file: int, at: int, what: str, fix: str) -> None:
-        """Note a line that is not understood; one note a line."""
-        line = self.line(file, at)
-        if not any(each.file == file and each.line == line for each in self.puzzles):
-            self.puzzles.append(Puzzle(file, line, what, fix))
-
-    def number(self, file: int, span: tuple[int, int], unit: float = 1.0, least: int = -1) -> Number:
-        """The number that a span holds; raises ValueError where it holds anything else."""
-        text = self.texts[file][slice(*span)]
-        if NUMERAL.fullmatch(text) is None:
-            raise ValueError(f"'{' '.join(text.split())[:40]}' is not a plain number")
-        if not math.isfinite(float(text)):
-            raise ValueError(f"{text} is not finite")
-        return Number(file, *span, float(text), unit, least)
-
-    def pose_numbers(self, file: int, spans: Sequence[tuple[int, int]]) -> tuple[Number, ...]:
-        """The numbers of a pose; raises ValueError where they are none."""
-        least = (self.form.least[0],) * 3 + (self.form.least[1],) * (len(self.form.units) - 3)
-        if len(spans) != len(least):
-            raise ValueError(f"a pose has {len(least)} numbers ({self.form.named}), and here are {len(spans)}")
-        parts = zip(spans, self.form.units, least, strict=True)
-        found = tuple(self.number(file, span, unit, digits) for span, unit, digits in parts)
-        self.form.pose([number.value for number in found])
-        return found
-
-    def joint_numbers(self, file: int, spans: Sequence[tuple[int, int]], unit: float, least: int) -> tuple[Number, ...]:
-        """The numbers of six joint values; raises ValueError where they are none."""
-        if len(spans) != 6:
-            raise ValueError(f"here are {len(spans)} joint values, not six")
-        return tuple(self.number(file, span, unit, least) for span in spans)
-
-    def transform(self, file: int, spans: Sequence[tuple[int, int]]) -> Array:
-        """A frame (4, 4; mm); raises ValueError where the spans hold none."""
-        return self.form.pose([number.value for number in self.pose_numbers(file, spans)])
-
-    def frame(self, kind: Literal["tool", "base"], name: str, known: Mapping[str, Array | str]) -> Array:
-        """A tool or base by its name: as the options give it, or as the program does; LookupError with the reason.
-
-        known: frames of the program, or why one has no value, by name in small letters.
-        """
-        given = self.given.tools if kind == "tool" else self.given.bases
-        self.framed.add(name.lower())
-        found = given.get(name.lower(), known.get(name.lower(), f"the {kind} '{name}' is not defined here"))
-        if isinstance(found, str):
-            raise LookupError(found, f"Give it: --{kind} '{name}={self.form.named}'")
-        return found
-
-    def move(self, file: int, at: int, motion: Motion, target: Target, base: Array | None, tool: Array | None) -> None:
-        """Note a move to a target; the frames in force are those of the target from here on.
-
-        A pose that moves reach in two frames is no one pose of the arm: it is a puzzle at the second.
-        """
-        key = (target.numbers[0].file, target.numbers[0].start)
-        known = self.targets.get(key)
-        if known is None and target.kind == "pose":
-            assert base is not None
-            assert tool is not None
-            self.targets[key] = replace(target, base=base, tool=tool)
-        elif known is None:
-            self.targets[key] = replace(target, tool=tool)
-        elif known.kind == "pose":
-            pairs = ((known.base, base), (known.tool, tool))
-            if not all(np.allclose(one, two, atol=1e-9) for one, two in pairs):  # type: ignore[arg-type]
-                what = f"'{target.name}' is reached with another tool or base than before: no one correction suits both"
-                self.puzzle(file, at, what, "Give each use a target of its own")
-                return
-        self.moves.append((file, self.line(file, at), motion, key))
-
-    def finished(self, declared: Iterable[Target]) -> Program:
-        """The program. Targets that a puzzle's move shares keep the corrections of their other moves."""
-        index = {key: i for i, key in enumerate(self.targets)}
-        world, flange = self.given.bases.get(WORLD), self.given.tools.get(FLANGE)
-        targets = tuple(
-            replace(
-                target,
-                base=target.base if target.base is None or world is None else world @ target.base,
-                tool=target.tool if target.tool is None or flange is None else flange @ target.tool,
-            )
-            for target in self.targets.values()
-        )
-        idle = [t for t in declared if (t.numbers[0].file, t.numbers[0].start) not in index]
-        unused = [target.name for target in idle if target.name.lower() not in self.framed]
-        moves = tuple(Move(file, line, motion, index[key]) for file, line, motion, key in self.moves)
-        puzzles = tuple(sorted(self.puzzles, key=lambda each: (each.file, each.line)))
-        return Program(
-            self.language, self.paths, self.texts, targets, moves, puzzles, tuple(unused), self.form, self.given
-        )
-
-
-WORLD, FLANGE = "world", "flange"
-"""Names of a base and a tool that every program has: where its world stands in the problem's base frame, and where the
-controller's flange stands in that of the problem. Both are taken as the same unless they are given."""
-
-
-@dataclass(frozen=True, eq=False)
-class Given(Value):
-    """What a program leaves to its controller: tools and bases (4, 4; mm) by name in small letters, pulses a degree."""
-
-    tools: Mapping[str, Array]
-    bases: Mapping[str, Array]
-    pulses: tuple[float, ...] | None = None
-
-
-def blanked(text: str, pattern: str) -> str:
-    """Text in which whatever a pattern finds, such as comments, is blanks, but for the quotes around a string."""
-
-    def blanks(found: re.Match[str]) -> str:
-        empty = re.sub(r"[^\r\n]", " ", found[0])
-        return f'"{empty[1:-1]}"' if found[0].startswith('"') else empty
-
-    return re.sub(pattern, blanks, text)
-
-
-Tree = tuple[int, int] | list["Tree"]
-"""A span of text, or a list in brackets of such."""
-
-
-def nested(text: str, at: int, brackets: str = "[]") -> tuple[list[Tree], int]:
-    """The list that begins at a bracket, and where it ends; raises ValueError where it does not end."""
-    stack, begin = [list[Tree]()], at + 1
-    for found in re.compile(f"[,{re.escape(brackets)}]").finditer(text, at):
-        mark, here = found[0], found.start()
-        piece = text[begin:here]
-        if mark == brackets[0]:
-            if here > at and piece.strip():
-                raise ValueError("a list is not written out")
-            stack.append([])
-            if len(stack) > DEEPEST:
-                break
-        else:
-            if piece.strip():
-                left = begin + len(piece) - len(piece.lstrip())
-                stack[-1].append((left, left + len(piece.strip())))
-            if mark == brackets[1]:
-                done = stack.pop()
-                stack[-1].append(done)
-                if len(stack) == 1:
-                    return done, here + 1
-        begin = here + 1
-    raise ValueError("a bracket is not closed")
-
-
-DEEPEST = 12  # brackets within one another
-
-
-def spans_of(tree: Tree) -> list[tuple[int, int]]:
-    """Spans of a list without lists in it; raises ValueError for another."""
-    if isinstance(tree, tuple) or not all(isinstance(each, tuple) for each in tree):
-        raise ValueError("a list of numbers was expected")
-    return [each for each in tree if isinstance(each, tuple)]
-
-
-def arguments(text: str, start: int, end: int) -> list[tuple[int, int]]:
-    """Spans of what commas outside of brackets separate, without blanks around them."""
-    depth, begin, found = 0, start, list[tuple[int, int]]()
-    for i in range(start, end + 1):
-        mark = text[i] if i < end else ","
-        depth += (mark in "([{") - (mark in ")]}")
-        if mark == "," and (depth <= 0 or i == end):
-            piece = text[begin:i]
-            left = begin + len(piece) - len(piece.lstrip())
-            found.append((left, left + len(piece.strip())))
-            begin = i + 1
-    return found
-
-
-def covered(length: int, spans: Iterable[tuple[int, int]]) -> bytearray:
-    """For each letter of a text whether it stands in one of some spans."""
-    found = bytearray(length)
-    for start, end in spans:
-        found[start:end] = b"\x01" * (end - start)
-    return found

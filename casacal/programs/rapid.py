@@ -8,37 +8,28 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
-from casacal.programs.program import (
-    DEGREE,
-    Draft,
-    Form,
-    Given,
-    Motion,
-    Program,
-    Target,
-    Tree,
-    arguments,
-    blanked,
-    covered,
-    nested,
-    spans_of,
-)
+from casacal.errors import CasacalError
+from casacal.programs.draft import EXTERNAL, NUMBERS, Draft, Tree, arguments, nested, spans_of
+from casacal.programs.program import Form, Given, Motion, Program, Target
 from casacal.values import Array
 
 FORM = Form(1.0, "quaternion", (3, 7), "X,Y,Z,Q1,Q2,Q3,Q4 in mm and as a unit quaternion")
 JOINT_DIGITS = 5
 ASIDE = r'"(?:[^"\r\n]|"")*"|![^\r\n]*'  # strings and comments
-DECLARED = re.compile(r"(?i)(?<![\w.\\])(robtarget|jointtarget|tooldata|wobjdata)\s+(\w+)\s*(\{[^}\r\n]*\})?\s*:=\s*")
-MOVES = re.compile(r"(?i)(?<![\w.\\:])Move(AbsJ|J|L|C)(?:DO|AO|GO|Sync)?(?![\w:])([^;]*);")
-OTHERS = re.compile(
-    r"(?i)(?<![\w.\\:])(Trigg[JLC]|Trigg[JLC](?:IOs|DO)|Search[LC]|Arc[LC]\w*|Spot[JLM]\w*|Disp[LC]|Paint[LC]|CapL|"
-    r"CSS\w+|EGMMove[LC]|EOffsOn|EOffsSet|PDispOn|PDispSet|MoveExtJ|MoveJ\w+|MoveL\w+|MoveC\w+|MoveAbsJ\w+)(?![\w:])"
-)
+WORD = r"(?i)(?<![\w.\\:])"
+DECLARED = re.compile(rf"{WORD}(robtarget|jointtarget|tooldata|wobjdata)\s+(\w+)\s*(\{{[^}}\r\n]*\}})?\s*:=\s*")
+ASSIGNED = re.compile(r"(?<![\w.\\])(\w+)\s*(?:\.\w+|\{[^}\r\n]*\})*\s*:=")
+MOVES = re.compile(rf"{WORD}Move(AbsJ|J|L|C)(?:DO|AO|GO|Sync)?(?![\w:])([^;]*);")
 KNOWN = re.compile(r"(?i)Move(?:AbsJ|J|L|C)(?:DO|AO|GO|Sync)?|MoveExtJ")
-SHIFTS = re.compile(r"(?i)(?<![\w.\\:])(?:PDispOn|PDispSet|EOffsOn|EOffsSet|(PDispOff|EOffsOff))(?![\w:])")
+OTHERS = re.compile(
+    rf"{WORD}(Trigg[JLC](?:IOs|DO)?|Search[LC]|Arc[LC]\w*|Spot[JLM]\w*|Disp[LC]|Paint[LC]|CapL|CSS\w+|EGMMove[LC]|"
+    r"EOffsOn|EOffsSet|PDispOn|PDispSet|Move(?:ExtJ|AbsJ|J|L|C)\w*)(?![\w:])"
+)
+SHIFTS = re.compile(rf"{WORD}(?:PDispOn|PDispSet|EOffsOn|EOffsSet|(PDispOff|EOffsOff))(?![\w:])")
 NO_AXIS = 9e8  # 9E9 stands for an external axis that is not there
 MOTIONS: Mapping[str, tuple[Motion, ...]] = {"absj": ("joint",), "j": ("joint",), "l": ("linear",), "c": ("via", "end")}
 
@@ -51,185 +42,106 @@ def configuration(joints: Array, bits: Array) -> Array:
 
 def read(files: Mapping[str, str], given: Given) -> Program:
     """Read a module."""
-    draft = Draft("rapid", FORM, files, given)
-    text = blanked(draft.texts[0], ASIDE)
-    targets, frames, spans = _declarations(draft, text)
-    changed = _assigned(text, spans)
-    for name in changed & targets.keys():
-        targets[name] = f"'{name}' is set again at run time"
-    for name in changed & frames.keys():
-        frames[name] = f"'{name}' is set again at run time"
+    draft = Draft("rapid", FORM, files, given, ASIDE)
+    text = draft.texts[0]
+    draft.frames |= {"tool0": np.eye(4), "wobj0": np.eye(4)}
+    for found in DECLARED.finditer(text):
+        draft.define(found[2], lambda found=found: _value(draft, text, found))  # type: ignore[misc]
+        draft.see(0, found.span())
+    for found in ASSIGNED.finditer(text):
+        if not draft.seen[0][found.start()]:
+            for known in (draft.names, draft.frames):
+                if found[1].lower() in known:
+                    known[found[1].lower()] = CasacalError(f"'{found[1]}' is set again at run time", NUMBERS)
     shift = None
-    marks = sorted([*MOVES.finditer(text), *SHIFTS.finditer(text)], key=lambda mark: mark.start())
-    for mark in marks:
+    for mark in sorted([*MOVES.finditer(text), *SHIFTS.finditer(text)], key=lambda mark: mark.start()):
         if mark.re is SHIFTS:
             shift = None if mark[1] else draft.line(0, mark.start())
-        else:
-            spans.append(mark.span())
-            _move(draft, text, mark, targets, frames, shift)
-    for other in OTHERS.finditer(text):
-        if not KNOWN.fullmatch(other[1]):
-            what = f"{other[1]} moves or shifts the arm in a way that is not understood"
-            draft.puzzle(0, other.start(), what, "Correct its target by hand")
-    _uses(draft, text, targets, spans)
-    return draft.finished(each for each in targets.values() if isinstance(each, Target))
+            continue
+        draft.see(0, mark.span())
+        with draft.understanding(0, mark.start()):
+            _move(draft, text, mark, shift)
+    draft.refuse(0, OTHERS, KNOWN)
+    draft.refuse_other_uses(0, r"\s*(\.|:=|\{)", "MoveAbsJ, MoveJ, MoveL or MoveC")
+    return draft.finished()
 
 
-def _declarations(
-    draft: Draft, text: str
-) -> tuple[dict[str, Target | str], dict[str, Array | str], list[tuple[int, int]]]:
-    """Targets and frames by name in small letters, or why one has no value, and the spans of their declarations."""
-    targets, frames = dict[str, Target | str](), dict[str, Array | str]({"tool0": np.eye(4), "wobj0": np.eye(4)})
-    spans = list[tuple[int, int]]()
-    for found in DECLARED.finditer(text):
-        kind, name = found[1].lower(), found[2]
-        known: dict[str, Target | str] | dict[str, Array | str] = targets if kind.endswith("target") else frames
-        end, value = found.end(), f"'{name}' is an array or computed"
-        try:
-            tree, end = nested(text, found.end()) if text[end : end + 1] == "[" and not found[3] else ([], end)
-            if name.lower() in known:
-                value = f"'{name}' is declared more than once"
-            elif tree and kind.endswith("target"):
-                targets[name.lower()] = _target(draft, name, kind, tree)
-            elif tree:
-                frames[name.lower()] = _frame(draft, kind, tree)
-        except ValueError as error:
-            value = f"'{name}' is not understood: {error}"
-            tree = []
-        if not tree or "more than once" in value:
-            known[name.lower()] = value
-        spans.append((found.start(), end))
-    return targets, frames, spans
+def _value(draft: Draft, text: str, found: re.Match[str]) -> Target | Array:
+    """What a declaration gives its name."""
+    if found[3] or text[found.end() : found.end() + 1] != "[":
+        raise CasacalError("it is an array, or computed", NUMBERS)
+    tree, end = nested(text, found.end())
+    draft.see(0, (found.start(), end))
+    return _target(draft, found[2], tree) if found[1].lower().endswith("target") else _frame(draft, tree)
 
 
-def _parts(tree: Tree, count: int) -> list[Tree]:
-    if isinstance(tree, tuple) or len(tree) != count:
-        raise ValueError(f"a list of {count} parts was expected")
+def _parts(tree: Tree, *counts: int) -> list[Tree]:
+    if isinstance(tree, tuple) or len(tree) not in counts:
+        raise CasacalError(f"a list of {counts[0]} parts was expected", NUMBERS)
     return tree
 
 
-def _target(draft: Draft, name: str, kind: str, tree: list[Tree]) -> Target:
-    """A robtarget or jointtarget; raises ValueError for what is none."""
-    first = tree[0]
-    while isinstance(first, list):
-        if not first:
-            raise ValueError("an empty list")
-        first = first[0]
-    line = draft.line(0, first[0])
-    if kind == "jointtarget":
-        joints, outer = _parts(tree, 2)
-        spans_of(outer)
-        return Target(name, 0, line, "joints", draft.joint_numbers(0, spans_of(joints), DEGREE, JOINT_DIGITS))
-    place, turn, config, outer = _parts(tree, 4)
-    numbers = draft.pose_numbers(0, [*spans_of(place), *spans_of(turn)])
-    if any(abs(draft.number(0, span).value) < NO_AXIS and draft.number(0, span).value for span in spans_of(outer)):
-        raise ValueError("an external axis moves with it, and where that puts arm or work is not known")
-    quadrants = [draft.number(0, span) for span in spans_of(config)]
-    if len(quadrants) != 4 or not all(each.value.is_integer() and abs(each.value) < 100 for each in quadrants):
-        raise ValueError("its configuration is not four whole numbers")
-    cf1, cf4, cf6, cfx = (int(each.value) for each in quadrants)
-    if not 0 <= cfx <= 7:
-        raise ValueError(f"cfx is {cfx}, which no arm with six turning joints has")
-    turns = tuple((number, (i,)) for i, number in enumerate(quadrants[:3]))
-    return Target(name, 0, line, "pose", numbers, (cf1, cf4, cf6, cfx & 1, cfx >> 1 & 1, cfx >> 2), turns)
+def _target(draft: Draft, name: str, tree: list[Tree]) -> Target:
+    """A robtarget, or a jointtarget where there are two parts."""
+    first, *rest = _parts(tree, 4, 2)
+    outer = spans_of(rest[-1])
+    if len(rest) == 1:
+        return draft.joints(0, spans_of(first), name, JOINT_DIGITS)
+    external = [draft.number(0, span).value for span in outer]
+    if any(value and abs(value) < NO_AXIS for value in external):
+        raise CasacalError(EXTERNAL, "Correct it by hand")
+    quadrants = [draft.number(0, span) for span in spans_of(rest[1])]
+    values = [int(each.value) for each in quadrants if each.value.is_integer() and abs(each.value) < 100]
+    if len(values) != 4 or len(quadrants) != 4 or not 0 <= values[3] <= 7:
+        raise CasacalError("its configuration is none of an arm with six turning joints", "Write cf1, cf4, cf6 and cfx")
+    config = (*values[:3], values[3] & 1, values[3] >> 1 & 1, values[3] >> 2)
+    pose = draft.pose(0, [*spans_of(first), *spans_of(rest[0])], name, config)
+    return replace(pose, turns=tuple((number, (i,)) for i, number in enumerate(quadrants[:3])))
 
 
-def _frame(draft: Draft, kind: str, tree: list[Tree]) -> Array:
-    """The transform of a tooldata or wobjdata; raises ValueError where what it says is not fixed in space."""
-    held = tree[0]
-    if not isinstance(held, tuple):
-        raise ValueError("its first part is no truth value")
-    robot_holds = draft.texts[0][slice(*held)].upper()
+def _frame(draft: Draft, tree: list[Tree]) -> Array:
+    """The transform of a tooldata, or of a wobjdata where there are five parts, if it is fixed in space."""
 
     def pose(tree: Tree) -> Array:
         place, turn = _parts(tree, 2)
-        return draft.transform(0, [*spans_of(place), *spans_of(turn)])
+        return FORM.pose(draft.pose(0, [*spans_of(place), *spans_of(turn)], "").values)
 
-    if kind == "tooldata":
-        if robot_holds != "TRUE":
-            raise ValueError("the tool stands still and the robot holds the work")
-        return pose(_parts(tree, 3)[1])
-    _, fixed, unit, user, work = _parts(tree, 5)
-    if robot_holds != "FALSE" or not isinstance(fixed, tuple) or not isinstance(unit, tuple):
-        raise ValueError("the robot holds the work object")
-    if draft.texts[0][slice(*fixed)].upper() != "TRUE" or draft.texts[0][slice(*unit)] != '""':
-        raise ValueError("a mechanical unit moves the work object")
-    return np.asarray(pose(user) @ pose(work))
+    held, *rest = _parts(tree, 3, 5)
+    flags = [draft.raw[0][slice(*part)].upper() for part in (held, *rest) if isinstance(part, tuple)]
+    if len(rest) == 2 and flags == ["TRUE"]:
+        return pose(rest[0])
+    if len(rest) == 4 and flags == ["FALSE", "TRUE", '""']:
+        return np.asarray(pose(rest[2]) @ pose(rest[3]))
+    raise CasacalError("the robot holds the work, or a mechanical unit moves it", "Correct such moves by hand")
 
 
-def _assigned(text: str, spans: list[tuple[int, int]]) -> set[str]:
-    """Names, in small letters, that statements set."""
-    inside = covered(len(text), spans)
-    marks = re.finditer(r"(?<![\w.\\])(\w+)\s*(?:\.\w+|\{[^}\r\n]*\})*\s*:=", text)
-    return {mark[1].lower() for mark in marks if not inside[mark.start()]}
-
-
-def _move(
-    draft: Draft,
-    text: str,
-    mark: re.Match[str],
-    targets: Mapping[str, Target | str],
-    frames: Mapping[str, Array | str],
-    shift: int | None,
-) -> None:
-    """Note a move, or why it is not understood."""
-    kind, begin = mark[1].lower(), mark.start()
-    parts = [span for span in arguments(text, mark.start(2), mark.end(2)) if not text[slice(*span)].startswith("\\")]
+def _move(draft: Draft, text: str, mark: re.Match[str], shift: int | None) -> None:
+    kind, words = mark[1].lower(), text[mark.start(2) : mark.end(2)]
+    parts = [span for span in arguments(text, *mark.span(2)) if not text[slice(*span)].startswith("\\")]
     ends = len(MOTIONS[kind])
-    try:
-        if len(parts) < ends + 3:
-            raise LookupError("the move has too few arguments", "Write it with target, speed, zone and tool")
-        named = re.fullmatch(r"(?is)(\w+)(.*)", text[slice(*parts[ends + 2])])
-        if named is None:
-            raise LookupError("its tool is computed", "Name a tooldata")
-        tool, base = None, None
-        if kind != "absj":
-            work = re.search(r"(?i)\\\s*WObj\s*:=\s*(\w+)", text[slice(*mark.span(2))])
-            if work is None and re.search(r"(?i)\\\s*WObj", text[slice(*mark.span(2))]):
-                raise LookupError("its work object is computed", "Name a wobjdata")
-            base = draft.frame("base", work[1] if work else "wobj0", frames)
-            tool = draft.frame("tool", named[1], frames)
-        elif not isinstance(known := frames.get(named[1].lower(), ""), str):
-            tool = known
-        if shift is not None and kind != "absj":
-            raise LookupError(f"line {shift} shifts the program", "Take the shift out before it is corrected")
-        found = [_target_at(draft, text, span, kind, targets) for span in parts[:ends]]
-    except LookupError as error:
-        draft.puzzle(0, begin, *error.args)
-        return
-    for target, motion in zip(found, MOTIONS[kind], strict=True):
-        draft.move(0, begin, motion, target, base, tool)
+    named = re.match(r"\w+(?=\s*(\\|$))", text[slice(*parts[ends + 2])]) if len(parts) > ends + 2 else None
+    work = re.search(r"(?i)\\\s*WObj\s*(?::=\s*(\w+))?", words)
+    if named is None or (work and not work[1]):
+        raise CasacalError("the move's tool or work object is not named", "Write target, speed, zone, tool")
+    tool, base = None, None
+    if kind != "absj":
+        base = draft.frame("base", work[1] if work else "wobj0")
+        tool = draft.frame("tool", named[0])
+        if shift is not None:
+            raise CasacalError(f"line {shift} shifts the program", "Take the shift out before it is corrected")
+    else:
+        tool = draft.known(named[0])
+    for target, motion in zip([_at(draft, text, parts[i]) for i in range(ends)], MOTIONS[kind], strict=True):
+        if (target.kind == "joints") != (kind == "absj"):
+            raise CasacalError(f"'{target.name}' is no target of such a move", "Name one of its kind")
+        draft.move((0, mark.start()), motion, target, base, tool)
 
 
-def _target_at(
-    draft: Draft, text: str, span: tuple[int, int], kind: str, targets: Mapping[str, Target | str]
-) -> Target:
-    """The target that an argument names or holds; raises LookupError with what is wrong and what to do."""
-    words = re.sub(r"(?is)\\.*", "", text[slice(*span)]).strip()
-    wanted = "jointtarget" if kind == "absj" else "robtarget"
+def _at(draft: Draft, text: str, span: tuple[int, int]) -> Target:
+    """The target that an argument names or holds."""
+    words = text[slice(*span)].partition("\\")[0].strip()
     if words.startswith("["):
-        try:
-            return _target(draft, words.partition(",")[0][:1] + "...]", wanted, nested(text, span[0])[0])
-        except ValueError as error:
-            raise LookupError(f"the target is not understood: {error}", f"Write a {wanted}") from None
+        return _target(draft, "[...]", nested(text, span[0])[0])
     if not re.fullmatch(r"\w+", words):
-        raise LookupError(
-            f"the target {' '.join(words.split())[:40]} is computed at run time", "Declare it with numbers"
-        )
-    found = targets.get(words.lower(), f"the target '{words}' is not declared in this file")
-    if isinstance(found, str):
-        raise LookupError(found, f"Declare it here as a {wanted} with plain numbers")
-    if (found.kind == "joints") != (kind == "absj"):
-        raise LookupError(f"'{words}' is no {wanted}", f"Name a {wanted}")
-    return found
-
-
-def _uses(draft: Draft, text: str, targets: Mapping[str, Target | str], spans: list[tuple[int, int]]) -> None:
-    """Note every other use of a target that could move the arm there."""
-    inside = covered(len(text), spans)
-    for found in re.finditer(r"(?<![\w.\\])\w+", text):
-        if found[0].lower() not in targets or inside[found.start()]:
-            continue
-        if not text[found.end() : found.end() + 40].lstrip().startswith((".", ":=", "{")):
-            what = f"what is done with the target '{found[0]}' here is not understood"
-            draft.puzzle(0, found.start(), what, "Move to it with MoveAbsJ, MoveJ, MoveL or MoveC")
+        raise CasacalError(f"the target {' '.join(words.split())[:40]} is computed at run time", NUMBERS)
+    return draft.named(words)

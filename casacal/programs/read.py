@@ -11,7 +11,7 @@ import numpy as np
 
 from casacal.errors import CasacalError, came
 from casacal.programs import fanuc, krl, rapid, urscript, yaskawa
-from casacal.programs.program import SUFFIX, Form, Given, Program, read_bytes
+from casacal.programs.program import SUFFIX, Form, Given, Program
 from casacal.values import Array, FrozenMapping
 from casacal.wording import listed
 
@@ -82,17 +82,33 @@ def read_program(
     path = Path(path)
     language = ENDINGS[path.suffix.lower()]
     dialect = DIALECTS[language]
-    files = {str(path): read_bytes(path)}
+    files = {str(path): _letters(path)}
     for ending in dialect.beside:
         found = [each for each in (path.with_suffix(ending), path.with_suffix(ending.upper())) if each.is_file()]
         if found:
-            files[str(found[0])] = read_bytes(found[0])
+            files[str(found[0])] = _letters(found[0])
     given = Given(
         _frames("tool", tools or {}, dialect.form),
         _frames("base", bases or {}, dialect.form),
         _pulses(pulses, language),
     )
     return dialect.read(files, given)
+
+
+MOST_BYTES = 1 << 25  # no controller holds a program of such a size
+
+
+def _letters(path: Path) -> str:
+    """A file's bytes as letters; raises CasacalError for what is no program."""
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise CasacalError(f"'{path}' is larger than any program", "Name a program")
+        data = path.read_bytes()
+    except OSError as error:
+        raise CasacalError(f"'{path}' cannot be read ({error.strerror})", "Check the path") from error
+    if b"\x00" in data:
+        raise CasacalError(f"'{path}' is not a text file (it holds zero bytes)", "Give the program as text")
+    return data.decode("latin-1")
 
 
 def read_again(program: Program, texts: Sequence[str]) -> Program:
@@ -106,10 +122,10 @@ def _frames(kind: Literal["tool", "base"], given: Mapping[str, Sequence[float]],
     for name, numbers in given.items():
         try:
             if len(numbers) != len(form.units):
-                raise ValueError(f"it has {len(numbers)} numbers")
+                raise CasacalError(f"it has {len(numbers)} numbers", "")
             found[str(name).lower()] = form.pose([float(each) for each in numbers])
-        except (TypeError, ValueError) as error:
-            raise CasacalError(f"The {kind} '{name}' is not understood: {error}", f"Give {form.named}") from None
+        except CasacalError as error:
+            raise CasacalError(f"The {kind} '{name}' is not understood: {error.what}", f"Give {form.named}") from None
     return FrozenMapping(found)
 
 

@@ -12,16 +12,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from casacal.programs.program import DEGREE, Draft, Form, Given, Motion, Number, Program, Target, blanked
+from casacal.errors import CasacalError
+from casacal.programs.draft import Draft, Span
+from casacal.programs.program import DEGREE, Form, Given, Motion, Program, Target
 from casacal.values import Array
 
 FORM = Form(1.0, "xyz", (3, 4), "X,Y,Z,RX,RY,RZ in mm and degrees")
 JOINT_DIGITS = 4
 ASIDE = r"(?m)^[ \t]*'[^\r\n]*|//NAME[^\r\n]*|///COMM[^\r\n]*"
-HEAD = re.compile(r"(?m)^///?(POSTYPE|TOOL|USER|RCONF|PULSE|RECTAN|ANGLE|INST|POS)\b[ \t]*([^\r\n]*)")
-POINT = re.compile(r"(?m)^(B?P?E?[CPX]+\d+)[ \t]*=[ \t]*([^\r\n]*)")
+HEAD = re.compile(r"(?m)^///(POSTYPE|TOOL|USER|RCONF)\b[ \t]*([^\r\n]*)")
+POINT = re.compile(r"(?m)^(C\d+)[ \t]*=[ \t]*([^\r\n]*)")
 MOVES = re.compile(r"(?m)^[ \t]*(?:\d{4}[ \t]+)?(MOV[JLCS])\b[ \t]*([^\r\n]*)")
-OTHERS = re.compile(r"(?m)^[ \t]*(?:\d{4}[ \t]+)?(IMOV|REFP|SMOV\w*|MFRAME|ARCSHIFT|MOV[JLCS]\w+|SFTON|SFTOF)\b")
+OTHERS = re.compile(r"(?m)^[ \t]*(?:\d{4}[ \t]+)?(IMOV|REFP|SMOV\w*|MFRAME|ARCSHIFT|MOV[JLCS]\w+|SFTON)\b")
+SHIFTS = re.compile(r"(?m)^[ \t]*(?:\d{4}[ \t]+)?(SFTON|SFTOF)\b")
 MOTIONS: Mapping[str, Motion] = {"MOVJ": "joint", "MOVL": "linear", "MOVC": "via", "MOVS": "spline"}
 
 
@@ -34,104 +37,59 @@ def configuration(joints: Array, bits: Array) -> Array:
 
 def read(files: Mapping[str, str], given: Given) -> Program:
     """Read a job."""
-    draft = Draft("yaskawa", FORM, files, given)
-    text = blanked(draft.texts[0], ASIDE)
-    inst = re.search(r"(?m)^//INST\b", text)
-    if inst is None:
-        return draft.finished(())
-    targets, frames = dict[str, Target | str](), dict[str, tuple[str, str]]()
-    state = {"POSTYPE": "PULSE", "TOOL": "", "USER": ""}
-    conf: tuple[Number, ...] = ()
-    marks = [*HEAD.finditer(text, 0, inst.start()), *POINT.finditer(text, 0, inst.start())]
-    for mark in sorted(marks, key=lambda mark: mark.start()):
+    draft = Draft("yaskawa", FORM, files, given, ASIDE)
+    text = draft.texts[0]
+    found = re.search(r"(?m)^//INST\b", text)
+    inst = found.start() if found else len(text)
+    state, frames = {"POSTYPE": "PULSE", "TOOL": "", "USER": "", "RCONF": ""}, dict[str, dict[str, str]]()
+    for mark in sorted([*HEAD.finditer(text, 0, inst), *POINT.finditer(text, 0, inst)], key=lambda mark: mark.start()):
         if mark.re is HEAD:
-            state[mark[1]] = mark[2].strip().upper()
-            conf = _configuration(draft, mark) if mark[1] == "RCONF" else conf
-            continue
-        name = mark[1].upper()
-        try:
-            value: Target | str = _target(draft, mark, state, conf)
-        except ValueError as error:
-            value = f"{name} is not understood: {error}"
-        targets[name] = f"{name} stands twice in //POS" if name in targets else value
-        frames[name] = state["POSTYPE"] + " " + state["USER"], state["TOOL"]
-    shifted = None
-    for mark in sorted(
-        [*MOVES.finditer(text, inst.end()), *OTHERS.finditer(text, inst.end())], key=lambda m: m.start()
-    ):
-        if mark.re is MOVES:
-            _move(draft, mark, targets, frames, shifted)
-        elif mark[1] == "SFTOF":
-            shifted = None
+            state = state | {mark[1]: mark[2].strip().upper()}
         else:
-            shifted = draft.line(0, mark.start()) if mark[1] == "SFTON" else shifted
-            what = f"{mark[1]} moves or shifts the arm in a way that is not understood"
-            draft.puzzle(0, mark.start(1), what, "Correct it by hand")
-    return draft.finished(each for each in targets.values() if isinstance(each, Target))
+            frames[mark[1]] = state
+            draft.define(mark[1], lambda mark=mark, state=state: _target(draft, mark, state))  # type: ignore[misc]
+    shift = None
+    for mark in sorted([*MOVES.finditer(text, inst), *SHIFTS.finditer(text, inst)], key=lambda mark: mark.start()):
+        if mark.re is SHIFTS:
+            shift = draft.line(0, mark.start(1)) if mark[1] == "SFTON" else None
+            continue
+        with draft.understanding(0, mark.start(1)):
+            if shift is not None:
+                raise CasacalError(f"line {shift} shifts the job", "Take the shift out before it is corrected")
+            _move(draft, mark, frames)
+    draft.refuse(0, OTHERS)
+    return draft.finished()
 
 
-def _configuration(draft: Draft, mark: re.Match[str]) -> tuple[Number, ...]:
-    """The numbers of RCONF; none where these are not understood."""
-    spans = [(mark.start(2) + each.start(), mark.start(2) + each.end()) for each in re.finditer(r"[^,\s]+", mark[2])]
-    try:
-        return tuple(draft.number(0, span) for span in spans[:6]) if len(spans) >= 6 else ()
-    except ValueError:
-        return ()
+def _target(draft: Draft, mark: re.Match[str], state: Mapping[str, str]) -> Target:
+    """A position of the arm with six joints."""
+    spans: list[Span] = [
+        (mark.start(2) + each.start(), mark.start(2) + each.end()) for each in re.finditer(r"[^,\s]+", mark[2])
+    ]
+    if state["POSTYPE"] == "ANGLE":
+        return draft.joints(0, spans, mark[1], JOINT_DIGITS)
+    if state["POSTYPE"] == "PULSE":
+        if (pulses := draft.given.pulses) is None:
+            fix = "Give --pulses S,L,U,R,B,T, pulses per degree"
+            raise CasacalError("it stands in pulses, and how many make a degree is not known", fix)
+        made = draft.joints(0, spans, mark[1], -1)
+        numbers = zip(made.numbers, pulses, strict=True)
+        return replace(made, numbers=tuple(replace(number, unit=DEGREE / each) for number, each in numbers))
+    stated = [part.strip() for part in state["RCONF"].split(",")]
+    if state["POSTYPE"] not in ("ROBOT", "BASE", "USER") or len(stated) < 6 or not set(stated[:6]) <= {"0", "1"}:
+        raise CasacalError("its POSTYPE or its RCONF is not understood", "Write them as the controller does")
+    return draft.pose(0, spans, mark[1], tuple(int(part) for part in stated[:6]))
 
 
-def _target(draft: Draft, mark: re.Match[str], state: Mapping[str, str], conf: tuple[Number, ...]) -> Target:
-    """A position; raises ValueError for what is none of an arm with six joints."""
-    name, line = mark[1].upper(), draft.line(0, mark.start())
-    spans = [(mark.start(2) + each.start(), mark.start(2) + each.end()) for each in re.finditer(r"[^,\s]+", mark[2])]
-    if state["POSTYPE"] in ("PULSE", "ANGLE"):
-        if state["POSTYPE"] == "ANGLE":
-            return Target(name, 0, line, "joints", draft.joint_numbers(0, spans, DEGREE, JOINT_DIGITS))
-        if draft.given.pulses is None:
-            raise ValueError("it stands in pulses, and how many make a degree is not known (--pulses)")
-        numbers = draft.joint_numbers(0, spans, 1.0, -1)
-        pulses = draft.given.pulses
-        return Target(
-            name,
-            0,
-            line,
-            "joints",
-            tuple(replace(n, unit=DEGREE / each) for n, each in zip(numbers, pulses, strict=True)),
-        )
-    if state["POSTYPE"] not in ("ROBOT", "BASE", "USER"):
-        raise ValueError(f"its POSTYPE is {state['POSTYPE'] or 'missing'}")
-    numbers = draft.pose_numbers(0, spans)
-    if not conf or any(number.value not in (0, 1) for number in conf):
-        raise ValueError("no RCONF of ones and zeros stands above it")
-    return Target(name, 0, line, "pose", numbers, tuple(int(number.value) for number in conf))
-
-
-def _move(
-    draft: Draft,
-    mark: re.Match[str],
-    targets: Mapping[str, Target | str],
-    frames: Mapping[str, tuple[str, str]],
-    shifted: int | None,
-) -> None:
-    """Note a move, or why it is not understood."""
-    words = mark[2].split()
-    tool, base = None, None
-    try:
-        name = words[0].upper() if words else "nothing"
-        if not re.fullmatch(r"C\d+", name):
-            raise LookupError(f"the target {name[:30]} is a variable or computed", "Teach it in the job")
-        if any(re.fullmatch(r"(BC|EC|BP|EX)\d+|\+MOV\w", word.upper()) for word in words[1:]):
-            raise LookupError("another machine moves with the arm", "Correct it by hand")
-        if shifted is not None:
-            raise LookupError(f"line {shifted} shifts the job", "Take the shift out before it is corrected")
-        target = targets.get(name, f"{name} does not stand in //POS")
-        if isinstance(target, str):
-            pulses = "--pulses" in target
-            raise LookupError(target, "Give --pulses S,L,U,R,B,T, pulses per degree" if pulses else "Write it there")
-        if target.kind == "pose":
-            kind, number = frames[name][0].split(" ", 1)[0], frames[name][0].split(" ", 1)[1]
-            base = draft.frame("base", f"USER{number}", {}) if kind == "USER" else np.eye(4)
-            tool = draft.frame("tool", f"TOOL{frames[name][1]}", {})
-    except LookupError as error:
-        draft.puzzle(0, mark.start(1), *error.args)
-        return
-    draft.move(0, mark.start(1), MOTIONS[mark[1]], target, base, tool)
+def _move(draft: Draft, mark: re.Match[str], frames: Mapping[str, Mapping[str, str]]) -> None:
+    words = mark[2].upper().split() or ["nothing"]
+    if not re.fullmatch(r"C\d+", words[0]):
+        raise CasacalError(f"the target {words[0][:30]} is a variable or computed", "Teach it in the job")
+    if any(re.fullmatch(r"(BC|EC|BP|EX)\d+|\+MOV\w", word) for word in words[1:]):
+        raise CasacalError("another machine moves with the arm", "Correct it by hand")
+    target, base, tool = draft.named(words[0]), None, None
+    if target.kind == "pose":
+        state = frames[words[0]]
+        base = draft.frame("base", f"USER{state['USER']}") if state["POSTYPE"] == "USER" else np.eye(4)
+        tool = draft.frame("tool", f"TOOL{state['TOOL']}")
+    draft.move((0, mark.start(1)), MOTIONS[mark[1]], target, base, tool)

@@ -44,7 +44,9 @@ def one(language, number, folder, arm=None):
     values = {n: n.value + rng.choice((0.25, -3.5, 0.0)) for target in program.targets for n in target.numbers}
     texts = program.with_numbers(values)
     for k, (before, after) in enumerate(zip(program.texts, texts, strict=True)):
-        assert outside(before, [span[1:] for span in spans if span[0] == k]) == outside_again(program, k, before, after, values)
+        assert outside(before, [span[1:] for span in spans if span[0] == k]) == outside_again(
+            program, k, before, after, values
+        )
         assert MARKED.sub(b"#", after.encode("latin-1")) == MARKED.sub(b"#", before.encode("latin-1"))
     if arm is not None and program.targets:
         try:
