@@ -86,7 +86,7 @@ def of_instrument(source: ProblemFile, name: str | None) -> ProblemFile:
 
 
 def _add_readings(parser: argparse.ArgumentParser) -> None:
-    add(parser, "--readings FILE", "CSV or .xlsx with the readings, when SAMPLES has none")
+    add(parser, "--readings FILE", "CSV or .xlsx with the readings, when SAMPLES has none, as a robot program")
     add(parser, "--id COLUMN", "column that joins readings to their poses; default: pose", default="pose")
 
 
@@ -211,7 +211,11 @@ def box_of(text: str, *, option: str = "--box") -> tuple[tuple[float, float], tu
 
 def add_samples(parser: argparse.ArgumentParser) -> None:
     """Add SAMPLES, --samples, and readings in a file of their own."""
-    add(parser, "[SAMPLES]", "CSV (-: standard input), .xlsx, .npy or .npz; default: samples.csv beside the problem")
+    add(
+        parser,
+        "[SAMPLES]",
+        "CSV (-: standard input), .xlsx, .npy or .npz; default: samples.csv beside the problem; or a robot program",
+    )
     words = "samples of each of several instruments, such as --samples dial=a.csv --samples tracker=b.csv; default: "
     words += "samples-dial.csv and so on beside the problem"
     add(parser, "--samples NAME=FILE ...", words, dest="sets")
@@ -255,13 +259,32 @@ def sample_files(source: ProblemFile, options: argparse.Namespace) -> dict[str, 
 def read_samples(source: ProblemFile, options: argparse.Namespace, *, absurd: bool = False) -> Samples | Measurements:
     """The samples of the only instrument, or of all; raises CasacalError as `sample_files` and `Problem.read` do."""
     from casacal.data.samples import Measurements
+    from casacal.programs.read import is_program
 
     problem, files = source.problem, sample_files(source, options)
     if len(files) == 1:
         (only,) = files.values()
+        if is_program(only):
+            return _read_of_program(problem, only, options)
         return problem.read(only, readings=options.readings, key=options.id, absurd=absurd)
     sets = (problem.read(file, i, absurd=absurd) for i, file in enumerate(files.values()))
     return Measurements(problem.names, tuple(sets))
+
+
+def _read_of_program(problem: Problem, path: str, options: argparse.Namespace) -> Samples:
+    """Joint targets of a robot program as the joints, and the readings that were taken at them, by their names."""
+    from casacal.data.read import read_any_table
+    from casacal.data.samples import Samples
+    from casacal.data.text import joined_tables
+    from casacal.programs.read import joint_table, read_program
+
+    if options.readings is None:
+        what = f"'{path}' is a robot program, which holds joint targets and no readings"
+        raise CasacalError(what, f"Name a CSV by --readings, with a column '{options.id}' of the targets' names")
+    readings = read_any_table(options.readings)
+    named = set(readings.column(options.id)) if options.id in readings.header else ()
+    poses = joint_table(read_program(path), named, options.id)
+    return Samples.from_table(joined_tables(poses, readings, key=options.id), problem.layout())
 
 
 Read = TypeVar("Read")

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import hashlib
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from casacal.data.text import Table
 from casacal.errors import CasacalError, came
 from casacal.programs import fanuc, krl, rapid, urscript, yaskawa
 from casacal.programs.program import SUFFIX, Form, Given, Program
@@ -93,6 +95,16 @@ def read_program(
         _pulses(pulses, language),
     )
     return dialect.read(files, given)
+
+
+def joint_table(program: Program, names: Container[str], key: str) -> Table:
+    """Joint targets with some names as rows of a samples file: their names in a column `key`, and q1_deg to q6_deg."""
+    chosen = [each for each in program.targets if each.kind == "joints" and each.name in names]
+    rows = tuple((each.name, *(repr(v) for v in np.degrees(each.joints).tolist())) for each in chosen)
+    header = (key, *(f"q{k}_deg" for k in range(1, 7)))
+    digest = hashlib.sha256("".join(program.texts).encode("latin-1")).hexdigest()
+    lines = tuple(each.line for each in chosen)
+    return Table(program.paths[0], digest, header, 0, rows, lines, decimal_comma=False)
 
 
 MOST_BYTES = 1 << 25  # no controller holds a program of such a size

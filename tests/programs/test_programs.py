@@ -9,10 +9,14 @@ import re
 import numpy as np
 import pytest
 import written_programs as w
+from conftest import ROOT
 from written_programs import ENDINGS, arm_of, changes_of, flange, landed, read_back, written
 
+from casacal import calibrate
+from casacal.calibration.result_json import calibration_document
 from casacal.cli.main import main
 from casacal.deployment.compensate import Outcome
+from casacal.deployment.predict import predict
 from casacal.errors import CasacalError, RefusedResultError
 from casacal.files import write_json
 from casacal.programs import Program, compensate_program, predict_program, read_program
@@ -494,10 +498,6 @@ def test_a_refused_result_corrects_no_program(tmp_path):
 @pytest.fixture(scope="module")
 def fitted(corner_simulation, hsr, tmp_path_factory):
     """A result of a simulated HSR-JR680, and a KRL program for it."""
-    from casacal import calibrate
-    from casacal.calibration.result_json import calibration_document
-    from casacal.deployment.predict import predict
-
     folder = tmp_path_factory.mktemp("fitted")
     done = calibrate(hsr.problem, corner_simulation.samples, method="lm", reference=False)
     write_json(folder / "result.json", calibration_document(done, hsr))
@@ -571,3 +571,33 @@ def test_both_files_of_a_krl_program_are_written(tmp_path, capsys):
     program = read_program(path, **made.options)
     assert [each.rpartition(".")[2] for each in program.paths] == ["src", "dat"]
     assert compensate_program(arm_of("krl", changes_of(1)), program).texts[1] != made.files[".dat"]
+
+
+def test_joint_targets_are_the_joints_of_a_calibration(hsr, corner_simulation, tmp_path, capsys):
+    """The samples' joints as jointtargets of a program with approach points, the readings by the targets' names."""
+    samples = corner_simulation.samples
+    rows, moves, readings = [], [], ["pose,reading_mm,plane"]
+    for i, joints in enumerate(samples.joints):
+        rows.append(
+            f"CONST jointtarget t{i}:=[[{','.join(f'{v:.9f}' for v in np.degrees(joints))}],[9E9,9E9,9E9,9E9,9E9,9E9]];"
+        )
+        moves += [f"MoveAbsJ above,v100,z5,tool0;", f"MoveAbsJ t{i},v10,fine,tool0;"]
+    order = np.random.default_rng(0).permutation(len(samples))
+    readings += [f"t{i},{samples.columns['reading'][i]:.9f},{samples.labels['plane'][i]}" for i in order]
+    above = "CONST jointtarget above:=[[0,0,0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]];"
+    text = "\n".join(["MODULE M", above, *rows, "PROC main()", *moves, "ENDPROC", "ENDMODULE", ""])
+    (tmp_path / "touch.mod").write_text(text)
+    (tmp_path / "r.csv").write_text("\n".join(readings) + "\n")
+    problem, program = str(ROOT / "problems" / "hsr_jr680"), str(tmp_path / "touch.mod")
+    assert main(["calibrate", problem, program]) == 2
+    assert "Name a CSV by --readings, with a column 'pose'" in capsys.readouterr().err
+    options = ["--no-reference", "--method", "lm", "--out", str(tmp_path / "fit")]
+    assert main(["calibrate", problem, program, "--readings", str(tmp_path / "r.csv"), *options]) == 0
+    capsys.readouterr()
+    ours = json.loads((tmp_path / "fit" / "result.json").read_text())
+    theirs = calibrate(hsr.problem, samples, method="lm", reference=False).to_dict()
+    found, wanted = ({row["name"]: row["estimate"] for row in each["parameters"]} for each in (ours, theirs))
+    assert found == pytest.approx(wanted, abs=1e-4)
+    (tmp_path / "r.csv").write_text("\n".join([*readings, "t999,0.1,floor"]) + "\n")
+    assert main(["calibrate", problem, program, "--readings", str(tmp_path / "r.csv"), *options]) == 2
+    assert "'t999' has no pose in" in capsys.readouterr().err
