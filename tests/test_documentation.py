@@ -47,7 +47,7 @@ def workplace(tmp_path, monkeypatch):
         (tmp_path / name).symlink_to(ROOT / name)
     (tmp_path / "out").mkdir()
     for text in PAGES.values():
-        for name, rows in re.findall(r"`(out/[\w./]+)`:\n\n```csv\n(.*?)```", text, re.S):
+        for name, rows in re.findall(r"`(out/[\w./]+)`[^\n]*:\n\n```(?:csv|text)\n(.*?)```", text, re.S):
             (tmp_path / name).write_text(rows)
     monkeypatch.chdir(tmp_path)
     return tmp_path

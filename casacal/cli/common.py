@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from casacal.model.problem import Problem
     from casacal.model.problem_file import ProblemFile
     from casacal.planning.candidates import Clearance
-    from casacal.programs.program import Program
+    from casacal.programs.program import TaughtProgram
     from casacal.uncertainty.tip_error import Box
     from casacal.values import Array
 
@@ -133,7 +133,7 @@ def add_program(parser: argparse.ArgumentParser) -> None:
 PROGRAM_OPTIONS = ("tool", "base", "near", "pulses")
 
 
-def read_program_of(options: argparse.Namespace, path: str) -> tuple[Program, list[float] | None]:
+def read_program_of(options: argparse.Namespace, path: str) -> tuple[TaughtProgram, list[float] | None]:
     """A robot program as the options complete it, and where it begins (6,; rad) if they say."""
     from casacal.programs.read import read_program
 

@@ -193,13 +193,13 @@ def _tell(options: argparse.Namespace, arm: CalibratedArm, corrected: CorrectedP
     from casacal.deployment.arm import column_notes
 
     program, moves, left = corrected.program, list[dict[str, Any]](), list[dict[str, Any]]()
-    for move, target, i in corrected.by_size():
-        sizes = {
-            "correction_mm": corrected.correction_mm[i],
-            "correction_deg": math.degrees(corrected.correction_rad[i]),
-        }
-        sizes |= {"left_mm": corrected.left_mm[i], "expected_mm": corrected.expected_mm[i]}
-        moves.append({"line": move.line, "motion": move.motion, "target": target.name, **sizes})
+    for move in sorted(program.moves, key=lambda move: -corrected.correction_mm[move.target]):
+        i = move.target
+        if corrected.reached[i]:
+            moves.append({"line": move.line, "motion": move.motion, "target": program.targets[i].name})
+            moves[-1] |= {"correction_mm": corrected.correction_mm[i], "left_mm": corrected.left_mm[i]}
+            moves[-1] |= {"correction_deg": math.degrees(corrected.correction_rad[i])}
+            moves[-1] |= {"expected_mm": corrected.expected_mm[i] if arm.found.tip.flange_expected_mm > 0 else math.nan}
     left += [{"line": each.line, "why": each.what} for each in program.puzzles]
     left += [
         {"line": program.targets[i].line, "why": f"'{program.targets[i].name}': {why}"}
@@ -221,7 +221,8 @@ def _tell(options: argparse.Namespace, arm: CalibratedArm, corrected: CorrectedP
     for each in moves[:SHOWN_MOVES]:
         said.append(
             f"  line {each['line']:<6} {each['motion']:<7} {each['target']:<20} {each['correction_mm']:8.3f} mm"
-            f" {each['correction_deg']:7.3f} deg   expected error {each['expected_mm']:.3f} mm"
+            f" {each['correction_deg']:7.3f} deg"
+            + (f"   expected error {each['expected_mm']:.3f} mm" if math.isfinite(each["expected_mm"]) else "")
         )
     said += [f"  ... and {len(moves) - SHOWN_MOVES} smaller ones (--json has all)"] if len(moves) > SHOWN_MOVES else []
     said += [f"Left as it is: line {each['line']}, {each['why']}" for each in left[:SHOWN]]

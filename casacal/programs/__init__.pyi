@@ -3,5 +3,5 @@
 from casacal.programs.correct import CorrectedProgram as CorrectedProgram
 from casacal.programs.correct import compensate_program as compensate_program
 from casacal.programs.correct import predict_program as predict_program
-from casacal.programs.program import Program as Program
+from casacal.programs.program import TaughtProgram as TaughtProgram
 from casacal.programs.read import read_program as read_program

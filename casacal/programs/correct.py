@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from casacal.deployment.arm import CalibratedArm, local_coordinates, row_constants
 from casacal.deployment.compensate import (
     LARGEST,
+    ROUNDED,
+    STEPS,
     Outcome,
     Rounding,
     Targets,
@@ -23,17 +25,19 @@ from casacal.deployment.compensate import (
 from casacal.deployment.inverse_kinematics import PosedArm
 from casacal.deployment.predict import Prediction, predict
 from casacal.deployment.result_file import arm_from
-from casacal.errors import CasacalError, RefusedResultError, harmless
+from casacal.errors import CasacalError, RefusedResultError
 from casacal.files import MADE, write_text
 from casacal.model.kinematics import quaternions_of
 from casacal.programs.postures import agreement, bits, controller_joints
-from casacal.programs.program import SUFFIX, Move, Number, Program, Target
+from casacal.programs.program import SUFFIX, Number, Target, TaughtProgram
 from casacal.programs.read import DIALECTS, read_again, read_program
 from casacal.values import Array, Value
 
 Which = NDArray[np.intp]
 FINE = Rounding(decimals=10)  # joint values in between are not written
 ALIKE = 1e-6  # mm by which drawings of one type of arm may differ
+STILL = 1e-9  # rad within which a joint stands on a border
+JUMPS = "the correction jumps to another configuration of the arm, through a singularity or past a border"
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,30 +49,22 @@ class ProgramRun(Value):
     its index, why a target has no joint values.
     """
 
-    program: Program
+    program: TaughtProgram
     arm: PosedArm
     joints: Array
     flanges: Array
     tools: Array
-    why: dict[int, str]
-
-    def refuse_lost(self) -> None:
-        """Raise CasacalError for targets that the controller cannot take."""
-        if self.why:
-            first, *others = self.why
-            target = self.program.targets[first]
-            also = f" (and {len(others)} more)" if others else ""
-            what = f"{self.program.place(target)}, target '{target.name}': {self.why[first]}{also}"
-            raise CasacalError(harmless(what), "Mend it, or leave such targets as they are with --skip-unknown")
+    why: Mapping[int, str]
 
 
-def run_program(result: CalibratedArm, program: Program, *, begin: Array | None = None) -> ProgramRun:
+def run_program(result: CalibratedArm, program: TaughtProgram, begin: Sequence[float] | None = None) -> ProgramRun:
     """The joint values at which a controller, which knows the nominal arm, takes the targets of a program.
 
     begin: joint values (6,; rad) of the arm where the program begins, for poses that state no configuration.
     Raises CasacalError for an arm without six joints that turn.
     """
-    robot, drawn = result.source.problem.robot, result.source.problem.without_terms
+    drawn = result.source.problem.without_terms
+    robot = drawn.robot
     if len(robot.axes) != 6 or not robot.revolute.all():
         what = f"'{robot.name}' has {len(robot.axes)} joints, and a program is for an arm with six that turn"
         raise CasacalError(what, "Correct its joint targets as CSV")
@@ -78,46 +74,40 @@ def run_program(result: CalibratedArm, program: Program, *, begin: Array | None 
     arm = PosedArm.of(drawn, local_coordinates(result, nominal=True), "flange", row_constants(result, drawn))
     flanges, tools = (np.tile(np.eye(4), (len(program.targets), 1, 1)) for _ in range(2))
     for i, target in enumerate(program.targets):
-        tools[i] = target.tool if target.tool is not None else np.eye(4)
-        if target.kind == "pose":
-            assert target.base is not None
+        tools[i] = np.eye(4) if target.tool is None else target.tool
+        if target.base is not None:
             flanges[i] = target.base @ program.form.pose(target.values) @ np.linalg.inv(tools[i])
-    joints = controller_joints(arm, DIALECTS[program.language], program.targets, flanges, begin)
-    lower, upper = robot.limits
-    why = dict[int, str]()
-    for i, target in enumerate(program.targets):
-        if target.kind == "joints" and ((joints[i] < lower - LOOSE) | (joints[i] > upper + LOOSE)).any():
-            k = int(np.argmax(np.maximum(lower - joints[i], joints[i] - upper)))
-            ends = f"{math.degrees(lower[k]):g} to {math.degrees(upper[k]):g}"
-            said = f"joint {k + 1} would stand at {math.degrees(joints[i, k]):g} degrees, and its limits are {ends}"
-            radians = "; joint values stand in rad, d2r(90) is 90 degrees" if program.language == "urscript" else ""
-            why[i] = f"{said}{radians}"
-        elif not np.isfinite(joints[i]).all():
-            why[i] = _unreached(target, begin is None and i == 0)
+    start = None if begin is None else np.asarray(begin, dtype=np.float64)
+    joints = controller_joints(arm, DIALECTS[program.language], program.targets, flanges, start)
+    why = {i: words for i, target in enumerate(program.targets) if (words := _lost(program, arm, target, joints[i]))}
     known = np.array([i for i in range(len(joints)) if i not in why], dtype=np.intp)
-    if known.size:
-        flanges[known] = _transforms(*arm(joints[known])[:2])
+    flanges[known] = _flanges(arm, joints[known])
     return ProgramRun(program, arm, joints, flanges, tools, why)
 
 
-LOOSE = 1e-6  # how far (rad) rounding may put joint values beyond a limit
+def _lost(program: TaughtProgram, arm: PosedArm, target: Target, joints: Array) -> str | None:
+    """Why a target has no joint values (6,) inside the limits, if that is so."""
+    if np.isnan(joints).any():
+        taken = "no posture of the drawn arm takes it"
+        asked = "perhaps tool and base are not those that it was taught with"
+        if all(entry is None for entry in target.config):
+            return f"{taken}: {asked}, or neither a joint target nor --near says where it begins"
+        return f"{taken} in the configuration that it states: {asked}, or world and flange stand elsewhere"
+    lower, upper = arm.robot.limits
+    beyond = np.maximum(lower - joints, joints - upper)
+    if beyond.max() <= ROUNDED:
+        return None
+    k = int(np.argmax(beyond))
+    said = f"joint {k + 1} would stand at {math.degrees(joints[k]):g} degrees, and its limits are "
+    said += f"{math.degrees(lower[k]):g} to {math.degrees(upper[k]):g}"
+    return said + ("; joint values stand in rad, d2r(90) is 90 degrees" if program.language == "urscript" else "")
 
 
-def _unreached(target: Target, first: bool) -> str:
-    """Why a pose has no joint values."""
-    if any(entry is not None for entry in target.config):
-        return (
-            "no posture of the drawn arm takes it in the configuration that it states: are tool and base those that it "
-            "was taught with, and do world and flange stand where the problem has them?"
-        )
-    if first:
-        return "it states no configuration, and no joint target stands before it (--near says where the arm begins)"
-    return "no posture of the drawn arm takes it: are tool and base those that it was taught with?"
-
-
-def _transforms(positions: Array, rotations: Array) -> Array:
-    made = np.tile(np.eye(4), (len(positions), 1, 1))
-    made[:, :3, 3], made[:, :3, :3] = positions, rotations
+def _flanges(arm: PosedArm, joints: Array) -> Array:
+    """Poses (N, 4, 4; mm) of the flange at joint values (N, 6)."""
+    made = np.tile(np.eye(4), (len(joints), 1, 1))
+    if len(joints):
+        made[:, :3, 3], made[:, :3, :3], _ = arm(joints)
     return made
 
 
@@ -132,10 +122,10 @@ class CorrectedProgram(Value):
     flange's position, apart from that of the base; NaN where the result tells none. missing: as of a `Prediction`.
     """
 
-    program: Program
+    program: TaughtProgram
     texts: tuple[str, ...]
     outcomes: tuple[Outcome, ...]
-    why: dict[int, str]
+    why: Mapping[int, str]
     correction_mm: Array
     correction_rad: Array
     left_mm: Array
@@ -155,15 +145,10 @@ class CorrectedProgram(Value):
         """The lines that differ, as a unified diff."""
         return self.program.changed_lines(self.texts)
 
-    def by_size(self) -> list[tuple[Move, Target, int]]:
-        """The moves to corrected targets, largest correction first, with target and its index."""
-        moves = [(move, self.program.targets[move.target], move.target) for move in self.program.moves]
-        return sorted((each for each in moves if self.reached[each[2]]), key=lambda each: -self.correction_mm[each[2]])
-
 
 def compensate_program(
     result: CalibratedArm,
-    program: Program | str,
+    program: TaughtProgram | str,
     *,
     inverse: bool = False,
     onto: CalibratedArm | None = None,
@@ -189,84 +174,62 @@ def compensate_program(
     RefusedResultError for a result that must not be used.
 
     """
-    result, program = arm_from(result), program if isinstance(program, Program) else read_program(program)
+    result, program = arm_from(result), program if isinstance(program, TaughtProgram) else read_program(program)
     other = None if onto is None else arm_from(onto)
     if inverse and other is not None:
         raise CasacalError("A program goes back to nominal or onto another arm", "Give inverse or onto")
-    for arm in (result, other) if other is not None else (result,):
-        refuse_denied(arm)
+    for arm in (result, other or result):
+        if arm.denial is not None:
+            fix = "Mend what it names and calibrate again; a program has no place for warnings, so none is forced"
+            raise RefusedResultError(f"{arm.file}: {arm.denial.removesuffix('.')}", fix)
         refuse_untrusted(arm, "flange")
     if not skip_unknown:
         program.refuse_puzzles()
-    run = run_program(result, program, begin=None if begin is None else np.asarray(begin, dtype=np.float64))
-    if not skip_unknown:
-        run.refuse_lost()
-    known = np.array([i for i in range(len(program.targets)) if i not in run.why], dtype=np.intp)
-    done = _steered(result, other, run, known, inverse, largest)
+    run = run_program(result, program, begin)
     outcomes, why = [Outcome.UNREACHABLE] * len(program.targets), dict(run.why)
-    for i, outcome in zip(known.tolist(), done.outcomes, strict=True):
+    known = np.array([i for i in range(len(outcomes)) if i not in why], dtype=np.intp)
+    joints, meant, ended, expected, missing = _steered(result, other, run, known, inverse, largest)
+    for i, outcome in zip(known.tolist(), ended, strict=True):
         outcomes[i] = outcome
-    for i, words in _kept_configuration(run, known, done).items():
-        outcomes[i], why[i] = Outcome.SINGULAR, words
-    for i, outcome in enumerate(outcomes):
         if outcome is not Outcome.REACHED:
-            why.setdefault(i, f"{outcome.value}: {outcome.meaning}")
-    lost = ProgramRun(program, run.arm, run.joints, run.flanges, run.tools, why)
-    if not skip_unknown:
-        lost.refuse_lost()
-    texts = program.with_numbers(_numbers(run, known, done, why))
-    return _proven(result, other, run, known, done, inverse, texts, tuple(outcomes), why)
-
-
-def refuse_denied(result: CalibratedArm) -> None:
-    """Raise RefusedResultError for a result that must not be used: a program has no place that would say so."""
-    if result.denial is not None:
-        fix = "Mend what the verdict names and calibrate again; a program has no place for a warning, so none is forced"
-        raise RefusedResultError(f"{result.file}: {result.denial.removesuffix('.')}", fix)
-
-
-@dataclass(frozen=True, eq=False)
-class Steered(Value):
-    """Corrected joint values (M, 6; rad) of some targets, how each ended, where its flange was meant (M, 4, 4; mm)."""
-
-    joints: Array
-    outcomes: tuple[Outcome, ...]
-    meant: Array
-    expected_mm: Array
-    missing: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+            why[i] = f"{outcome.value}: {outcome.meaning}"
+    numbers = dict[Number, float]()
+    for i, values in zip(known.tolist(), _numbers(run, known, joints), strict=True):
+        if values is None and i not in why:
+            outcomes[i], why[i] = Outcome.SINGULAR, JUMPS
+        elif i not in why:
+            numbers |= values or {}
+    if why and not skip_unknown:
+        program.refuse_targets(why)
+    texts = program.with_numbers(numbers)
+    proof = _proof(other or result, run, known, joints, meant, inverse, read_again(program, texts))
+    motion, error = (np.full(len(outcomes), np.nan) for _ in range(2))
+    motion[known], error[known] = np.abs(joints - run.joints[known]).max(axis=1, initial=0.0), expected
+    return CorrectedProgram(program, texts, tuple(outcomes), why, proof[0], motion, proof[1], error, missing)
 
 
 def _steered(
     result: CalibratedArm, other: CalibratedArm | None, run: ProgramRun, known: Which, inverse: bool, largest: float
-) -> Steered:
-    """Joint values at which the arm stands where the controller's joint values were meant to bring it."""
+) -> tuple[Array, Array, Sequence[Outcome], Array, Mapping[str, tuple[str, ...]]]:
+    """Of some targets (M,) joint values, flanges as meant, how each ended, standard deviations, and `missing`."""
     joints = run.joints[known]
     if not len(joints):
-        return Steered(joints, (), np.zeros((0, 4, 4)), np.zeros(0))
+        return joints, run.flanges[known], (), np.zeros(0), {}
     if not inverse and other is None:
         found = compensate(result, targets_from(joints, result.source), largest=largest, rounding=FINE)
-        return Steered(found.joints, found.outcomes, run.flanges[known], found.expected_mm, found.missing)
+        return found.joints, run.flanges[known], found.outcomes, found.expected_mm, found.missing
     there = predict(result, joints, std=inverse)
-    meant = there.poses
+    at = there.poses[:, :3, 3], there.poses[:, :3, :3]
     if other is not None:
         _refuse_other_type(result, other, joints)
-        lines, text = tuple(range(1, len(joints) + 1)), ("",) * len(joints)
-        targets = Targets(joints, (meant[:, :3, 3], meant[:, :3, :3]), lines, text, run.program.paths[0], "")
+        targets = Targets(joints, at, tuple(range(len(joints))), ("",) * len(joints), run.program.paths[0], "")
         found = compensate(other, targets, largest=largest, rounding=FINE)
-        return Steered(found.joints, found.outcomes, meant, found.expected_mm, found.missing)
-    at = meant[:, :3, 3], meant[:, :3, :3]
+        return found.joints, there.poses, found.outcomes, found.expected_mm, found.missing
     moved = run.arm.reach(*at, joints, steps=STEPS)
-    taken, limited = run.arm.takes(moved, *at), run.arm.at_limit(moved, *at)
-    jumps = np.abs(moved - joints).max(axis=1) > largest
-    ended = [
-        Outcome.SINGULAR if jump else Outcome.REACHED if good else Outcome.LIMIT if limit else Outcome.UNREACHABLE
-        for jump, good, limit in zip(jumps, taken, limited, strict=True)
-    ]
-    assert there.std is not None
-    return Steered(moved, tuple(ended), meant, there.std, there.missing)
-
-
-STEPS = 150  # at most, as of `compensate`
+    jumps, taken = np.abs(moved - joints).max(axis=1) > largest, run.arm.takes(moved, *at)
+    ended = [Outcome.SINGULAR if jump else Outcome.REACHED for jump in jumps]
+    ended = [each if good else Outcome.UNREACHABLE for each, good in zip(ended, taken, strict=True)]
+    return moved, there.poses, ended, there.std if there.std is not None else np.full(len(moved), np.nan), there.missing
 
 
 def _refuse_other_type(result: CalibratedArm, other: CalibratedArm, joints: Array) -> None:
@@ -281,102 +244,71 @@ def _refuse_other_type(result: CalibratedArm, other: CalibratedArm, joints: Arra
         raise CasacalError(what, "Give results of two arms of one type")
 
 
-def _kept_configuration(run: ProgramRun, known: Which, done: Steered) -> dict[int, str]:
-    """By its index, what is wrong with a target whose correction would leave its configuration."""
-    found = dict[int, str]()
+def _numbers(run: ProgramRun, known: Which, joints: Array) -> list[dict[Number, float] | None]:
+    """New values of the numbers of some targets at joint values (M, 6); None for one that leaves its configuration."""
+    found = list[dict[Number, float] | None]()
     if not known.size:
         return found
-    dialect = DIALECTS[run.program.language]
-    sides = bits(run.arm, done.joints, dialect.upright)
-    before, after = (np.linalg.det(run.arm(each)[2]) for each in (run.joints[known], done.joints))
+    dialect, sides = DIALECTS[run.program.language], bits(run.arm, joints, DIALECTS[run.program.language].upright)
+    flanges, exact = _flanges(run.arm, joints), dialect.configuration(joints, sides)
+    before, after = (np.linalg.det(run.arm(each)[2]) for each in (run.joints[known], joints))
     for row, i in enumerate(known.tolist()):
         target = run.program.targets[i]
-        free = {k for _, indices in target.turns for k in indices}
-        fixed = [None if k in free else entry for k, entry in enumerate(target.config)]
-        kept = agreement(dialect, done.joints[[row]], sides[[row]], fixed).all() and before[row] * after[row] > 0
-        if target.kind == "pose" and done.outcomes[row] is Outcome.REACHED and not kept:
-            found[i] = (
-                "the correction jumps to another configuration of the arm, through a singularity or past a border"
-            )
-    return found
-
-
-def _numbers(run: ProgramRun, known: Which, done: Steered, why: dict[int, str]) -> dict[Number, float]:
-    """New values of the numbers of all targets that are corrected."""
-    found = dict[Number, float]()
-    if not known.size:
-        return found
-    dialect = DIALECTS[run.program.language]
-    sides, flanges = bits(run.arm, done.joints, dialect.upright), _transforms(*run.arm(done.joints)[:2])
-    exact = dialect.configuration(done.joints, sides)
-    for row, i in enumerate(known.tolist()):
-        target = run.program.targets[i]
-        if i in why:
+        if target.base is None:
+            found.append({n: float(q) / n.unit for n, q in zip(target.numbers, joints[row], strict=True)})
             continue
-        if target.kind == "joints":
-            found |= {n: float(q) / n.unit for n, q in zip(target.numbers, done.joints[row], strict=True)}
+        turning = {k for _, indices in target.turns for k in indices}
+        fixed = [None if k in turning else entry for k, entry in enumerate(target.config)]
+        if before[row] * after[row] <= 0 or not agreement(dialect, joints[[row]], sides[[row]], fixed).all():
+            found.append(None)
             continue
-        assert target.base is not None
         pose = np.linalg.inv(target.base) @ flanges[row] @ run.tools[i]
-        found |= dict(zip(target.numbers, run.program.form.numbers(pose, target.values).tolist(), strict=True))
-        same = agreement(dialect, done.joints[[row]], sides[[row]], target.config, STILL)[0]
+        values = dict(zip(target.numbers, run.program.form.numbers(pose, target.values).tolist(), strict=True))
+        same = agreement(dialect, joints[[row]], sides[[row]], target.config, STILL)[0]
         for number, indices in target.turns:
             if not same[list(indices)].all():  # a joint passed the border of a quadrant, a turn or a sign
-                entries = [int(exact[row, k]) for k in indices]
-                found[number] = float(sum(entry << bit for bit, entry in enumerate(entries)))
+                values[number] = float(sum(int(exact[row, k]) << bit for bit, k in enumerate(indices)))
+        found.append(values)
     return found
 
 
-STILL = 1e-9  # rad within which a joint stands on a border
-
-
-def _proven(
-    result: CalibratedArm,
-    other: CalibratedArm | None,
+def _proof(
+    arm: CalibratedArm,
     run: ProgramRun,
     known: Which,
-    done: Steered,
+    joints: Array,
+    meant: Array,
     inverse: bool,
-    texts: tuple[str, ...],
-    outcomes: tuple[Outcome, ...],
-    why: dict[int, str],
-) -> CorrectedProgram:
-    """The corrected program with its proof: its texts read anew, and where they bring the arm."""
-    program, count = run.program, len(run.program.targets)
-    written = read_again(program, texts)
-    assert len(written.targets) == count
-    assert written.moves == program.moves
-    correction, motion, left, expected = (np.full(count, np.nan) for _ in range(4))
-    if known.size:
-        joints, tools = done.joints.copy(), run.tools[known]
-        for row, i in enumerate(known.tolist()):
-            target = written.targets[i]
-            if target.kind == "joints":
-                joints[row] = target.joints
-                continue
-            assert target.base is not None
-            flange = target.base @ program.form.pose(target.values) @ np.linalg.inv(tools[row])
-            joints[row] = run.arm.reach(flange[None, :3, 3], flange[None, :3, :3], joints[[row]])[0]
-        tip = (done.meant @ tools)[:, :3, 3]
-        for values, into in ((run.joints[known], correction), (joints, left)):
-            there = predict(other or result, values, nominal=inverse).poses
-            into[known] = np.linalg.norm((there @ tools)[:, :3, 3] - tip, axis=1)
-        motion[known], expected[known] = np.abs(done.joints - run.joints[known]).max(axis=1), done.expected_mm
-    return CorrectedProgram(program, texts, outcomes, why, correction, motion, left, expected, done.missing)
+    written: TaughtProgram,
+) -> tuple[Array, Array]:
+    """How far tips (N,; mm) were from what was meant, and are with a program as written; NaN for other targets."""
+    assert written.moves == run.program.moves
+    before, left = (np.full(len(run.joints), np.nan) for _ in range(2))
+    taken, tools = joints.copy(), run.tools[known]
+    for row, i in enumerate(known.tolist()):
+        target = written.targets[i]
+        if target.base is None:
+            taken[row] = target.joints
+        else:
+            flange = target.base @ written.form.pose(target.values) @ np.linalg.inv(tools[row])
+            taken[row] = run.arm.reach(flange[None, :3, 3], flange[None, :3, :3], joints[[row]])[0]
+    for values, into in ((run.joints[known], before), (taken, left)) if known.size else ():
+        there = predict(arm, values, nominal=inverse).poses
+        into[known] = np.linalg.norm(((there - meant) @ tools)[:, :3, 3], axis=1)
+    return before, left
 
 
 def predict_program(
-    result: CalibratedArm, program: Program | str, *, begin: Sequence[float] | None = None, force: bool = False
+    result: CalibratedArm, program: TaughtProgram | str, *, begin: Sequence[float] | None = None, force: bool = False
 ) -> tuple[ProgramRun, Prediction]:
     """Where the true arm goes at each target of a program: the run at its controller, and the flange's poses there.
 
-    Targets without joint values have no pose (NaN). Arguments and errors as of `compensate_program`; force: take a
-    result whose verdict is not to use it, which has no standard deviations.
+    Targets in `why` of the run have no pose that means anything. Arguments and errors as of `compensate_program`;
+    force: take a result whose verdict is not to use it, which has no standard deviations.
     """
-    result, program = arm_from(result), program if isinstance(program, Program) else read_program(program)
-    run = run_program(result, program, begin=None if begin is None else np.asarray(begin, dtype=np.float64))
-    safe = np.where(np.isfinite(run.joints), run.joints, 0.0)
-    return run, predict(result, safe, std=result.denial is None, force=force)
+    result, program = arm_from(result), program if isinstance(program, TaughtProgram) else read_program(program)
+    run = run_program(result, program, begin)
+    return run, predict(result, np.nan_to_num(run.joints), std=result.denial is None, force=force)
 
 
 def write_program_prediction(path: str | Path, run: ProgramRun, prediction: Prediction) -> None:

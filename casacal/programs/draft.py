@@ -16,7 +16,18 @@ from typing import Literal
 import numpy as np
 
 from casacal.errors import CasacalError
-from casacal.programs.program import DEGREE, NUMERAL, Form, Given, Motion, Move, Number, Program, Puzzle, Target
+from casacal.programs.program import (
+    DEGREE,
+    NUMERAL,
+    Form,
+    Given,
+    Motion,
+    Number,
+    ProgramMove,
+    Puzzle,
+    Target,
+    TaughtProgram,
+)
 from casacal.values import Array
 
 WORLD, FLANGE = "world", "flange"
@@ -172,7 +183,7 @@ class Draft:
                 raise CasacalError(what, "Give each use a target of its own")
         self.moves.append((at[0], self.line(*at), motion, key))
 
-    def finished(self) -> Program:
+    def finished(self) -> TaughtProgram:
         """The program."""
         index = {key: i for i, key in enumerate(self.targets)}
         world, flange = self.given.bases.get(WORLD, np.eye(4)), self.given.tools.get(FLANGE, np.eye(4))
@@ -186,9 +197,11 @@ class Draft:
         )
         idle = [each for each in self.names.values() if isinstance(each, Target) and each.numbers[0] not in index]
         unused = tuple(each.name for each in idle if each.name.lower() not in self.framed)
-        moves = tuple(Move(file, line, motion, index[key]) for file, line, motion, key in self.moves)
+        moves = tuple(ProgramMove(file, line, motion, index[key]) for file, line, motion, key in self.moves)
         puzzles = tuple(sorted(self.puzzles, key=lambda each: (each.file, each.line)))
-        return Program(self.language, self.paths, self.raw, targets, moves, puzzles, unused, self.form, self.given)
+        return TaughtProgram(
+            self.language, self.paths, self.raw, targets, moves, puzzles, unused, self.form, self.given
+        )
 
 
 def blanked(text: str, pattern: str) -> str:

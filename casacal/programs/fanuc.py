@@ -15,7 +15,7 @@ import numpy as np
 
 from casacal.errors import CasacalError
 from casacal.programs.draft import EXTERNAL, NUMBERS, Draft, Span
-from casacal.programs.program import Form, Given, Motion, Program, Target
+from casacal.programs.program import Form, Given, Motion, Target, TaughtProgram
 from casacal.values import Array
 
 FORM = Form(1.0, "xyz", (3, 3), "X,Y,Z,W,P,R in mm and degrees")
@@ -38,7 +38,7 @@ def configuration(joints: Array, bits: Array) -> Array:
     return np.column_stack([joints[:, 4] >= 0, bits[:, 1], bits[:, 0], turns]).astype(int)
 
 
-def read(files: Mapping[str, str], given: Given) -> Program:
+def read(files: Mapping[str, str], given: Given) -> TaughtProgram:
     """Read a program."""
     draft = Draft("fanuc", FORM, files, given, ASIDE)
     text = draft.texts[0]

@@ -14,7 +14,7 @@ import numpy as np
 
 from casacal.errors import CasacalError
 from casacal.programs.draft import EXTERNAL, IN_FORCE, NUMBERS, Draft, Kind, Span, nested, spans_of
-from casacal.programs.program import Form, Given, Motion, Program, Target
+from casacal.programs.program import Form, Given, Motion, Target, TaughtProgram
 from casacal.values import Array
 
 FORM = Form(1.0, "zyx", (3, 4), "X,Y,Z,A,B,C in mm and degrees")
@@ -42,7 +42,7 @@ def configuration(joints: Array, bits: Array) -> Array:
     return np.column_stack([bits[:, 0], 1 - bits[:, 1], joints < 0]).astype(int)
 
 
-def read(files: Mapping[str, str], given: Given) -> Program:
+def read(files: Mapping[str, str], given: Given) -> TaughtProgram:
     """Read a .src, and the .dat beside it where there is one."""
     draft = Draft("krl", FORM, files, given, ASIDE)
     draft.frames |= {"$nullframe": np.eye(4)}

@@ -173,7 +173,7 @@ class Target(Value):
 
 
 @dataclass(frozen=True)
-class Move:
+class ProgramMove:
     """A move to a target, by its index; a circle is a move via one and a move to its end."""
 
     file: int
@@ -202,7 +202,7 @@ class Given(Value):
 
 
 @dataclass(frozen=True, eq=False)
-class Program(Value):
+class TaughtProgram(Value):
     """A program: paths and texts of its files, the targets that moves go to, the moves in the order of their lines.
 
     puzzles: lines that move the arm or change a target in a way that is not understood. unused: names of targets that
@@ -213,7 +213,7 @@ class Program(Value):
     paths: tuple[str, ...]
     texts: tuple[str, ...]
     targets: tuple[Target, ...]
-    moves: tuple[Move, ...]
+    moves: tuple[ProgramMove, ...]
     puzzles: tuple[Puzzle, ...]
     unused: tuple[str, ...]
     form: Form
@@ -224,17 +224,19 @@ class Program(Value):
             f"<{SUFFIX[self.language]} program {self.paths[0]}: {len(self.moves)} moves, {len(self.targets)} targets>"
         )
 
-    def place(self, at: Target | Move | Puzzle) -> str:
-        """Where something stands, for a sentence."""
-        return f"{self.paths[at.file]}, line {at.line}"
-
     def refuse_puzzles(self) -> None:
         """Raise CasacalError where a line is not understood."""
         if self.puzzles:
-            first, others = self.puzzles[0], [puzzle.line for puzzle in self.puzzles[1:]]
-            also = f" (further lines that are not understood: {shortened(others)})" if others else ""
-            what = harmless(f"{self.place(first)}: {first.what}{also}")
+            first, *others = self.puzzles
+            also = f" (likewise lines {shortened(each.line for each in others)})" if others else ""
+            what = f"{self.paths[first.file]}, line {first.line}: {first.what}{also}"
             raise CasacalError(what, f"{first.fix}; or leave such moves as they are with --skip-unknown")
+
+    def refuse_targets(self, why: Mapping[int, str]) -> None:
+        """Raise CasacalError for targets that are lost, for a reason by index."""
+        target, also = self.targets[min(why)], f" (and {len(why) - 1} more)" if len(why) > 1 else ""
+        what = f"{self.paths[target.file]}, line {target.line}, target '{target.name}': {why[min(why)]}{also}"
+        raise CasacalError(what, "Mend it, or leave such targets as they are with --skip-unknown")
 
     def with_numbers(self, values: Mapping[Number, float]) -> tuple[str, ...]:
         """The texts with other values of some numbers, in the form of the old ones."""

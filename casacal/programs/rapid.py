@@ -14,7 +14,7 @@ import numpy as np
 
 from casacal.errors import CasacalError
 from casacal.programs.draft import EXTERNAL, NUMBERS, Draft, Tree, arguments, nested, spans_of
-from casacal.programs.program import Form, Given, Motion, Program, Target
+from casacal.programs.program import Form, Given, Motion, Target, TaughtProgram
 from casacal.values import Array
 
 FORM = Form(1.0, "quaternion", (3, 7), "X,Y,Z,Q1,Q2,Q3,Q4 in mm and as a unit quaternion")
@@ -40,7 +40,7 @@ def configuration(joints: Array, bits: Array) -> Array:
     return np.column_stack([quadrants, joints[:, 4] < 0, bits[:, 1], bits[:, 0]]).astype(int)
 
 
-def read(files: Mapping[str, str], given: Given) -> Program:
+def read(files: Mapping[str, str], given: Given) -> TaughtProgram:
     """Read a module."""
     draft = Draft("rapid", FORM, files, given, ASIDE)
     text = draft.texts[0]

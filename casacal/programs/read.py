@@ -13,7 +13,7 @@ import numpy as np
 from casacal.data.text import Table
 from casacal.errors import CasacalError, came
 from casacal.programs import fanuc, krl, rapid, urscript, yaskawa
-from casacal.programs.program import SUFFIX, Form, Given, Program
+from casacal.programs.program import SUFFIX, Form, Given, TaughtProgram
 from casacal.values import Array, FrozenMapping
 from casacal.wording import listed
 
@@ -26,7 +26,7 @@ class Dialect:
     arm) -> entries (N, k), as `Target.config` has them. upright: degrees (6,) at which both bits are zero.
     """
 
-    read: Callable[[Mapping[str, str], Given], Program]
+    read: Callable[[Mapping[str, str], Given], TaughtProgram]
     form: Form
     configuration: Callable[[Array, Array], Array]
     upright: tuple[float, ...] = (0.0,) * 6
@@ -65,7 +65,7 @@ def read_program(
     tools: Mapping[str, Sequence[float]] | None = None,
     bases: Mapping[str, Sequence[float]] | None = None,
     pulses: Sequence[float] | None = None,
-) -> Program:
+) -> TaughtProgram:
     """Read a robot program: RAPID (.mod), KRL (.src with its .dat), URScript (.script), FANUC TP (.ls), Yaskawa (.jbi).
 
     tools, bases: frames that the program names and does not hold, each as its language writes a pose (URScript: m and a
@@ -97,7 +97,7 @@ def read_program(
     return dialect.read(files, given)
 
 
-def joint_table(program: Program, names: Container[str], key: str) -> Table:
+def joint_table(program: TaughtProgram, names: Container[str], key: str) -> Table:
     """Joint targets with some names as rows of a samples file: their names in a column `key`, and q1_deg to q6_deg."""
     chosen = [each for each in program.targets if each.kind == "joints" and each.name in names]
     rows = tuple((each.name, *(repr(v) for v in np.degrees(each.joints).tolist())) for each in chosen)
@@ -123,7 +123,7 @@ def _letters(path: Path) -> str:
     return data.decode("latin-1")
 
 
-def read_again(program: Program, texts: Sequence[str]) -> Program:
+def read_again(program: TaughtProgram, texts: Sequence[str]) -> TaughtProgram:
     """A program with other texts, read as it was."""
     return DIALECTS[program.language].read(dict(zip(program.paths, texts, strict=True)), program.given)
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from casacal.errors import CasacalError
 from casacal.programs.draft import IN_FORCE, NUMBERS, Draft, Span, arguments, nested, spans_of
-from casacal.programs.program import DEGREE, Form, Given, Motion, Program, Target
+from casacal.programs.program import DEGREE, Form, Given, Motion, Target, TaughtProgram
 from casacal.values import Array
 
 FORM = Form(1000.0, "vector", (6, 6), "X,Y,Z,RX,RY,RZ in m and rad")
@@ -39,7 +39,7 @@ def configuration(joints: Array, _: Array) -> Array:
     return np.zeros((len(joints), 0), dtype=int)
 
 
-def read(files: Mapping[str, str], given: Given) -> Program:
+def read(files: Mapping[str, str], given: Given) -> TaughtProgram:
     """Read a script."""
     draft = Draft("urscript", FORM, files, given, ASIDE)
     text = draft.texts[0]

@@ -14,7 +14,7 @@ import numpy as np
 
 from casacal.errors import CasacalError
 from casacal.programs.draft import Draft, Span
-from casacal.programs.program import DEGREE, Form, Given, Motion, Program, Target
+from casacal.programs.program import DEGREE, Form, Given, Motion, Target, TaughtProgram
 from casacal.values import Array
 
 FORM = Form(1.0, "xyz", (3, 4), "X,Y,Z,RX,RY,RZ in mm and degrees")
@@ -35,7 +35,7 @@ def configuration(joints: Array, bits: Array) -> Array:
     return np.column_stack([flipped, bits[:, 1], bits[:, 0], beyond]).astype(int)
 
 
-def read(files: Mapping[str, str], given: Given) -> Program:
+def read(files: Mapping[str, str], given: Given) -> TaughtProgram:
     """Read a job."""
     draft = Draft("yaskawa", FORM, files, given, ASIDE)
     text = draft.texts[0]

@@ -19,7 +19,7 @@ from casacal.deployment.compensate import Outcome
 from casacal.deployment.predict import predict
 from casacal.errors import CasacalError, RefusedResultError
 from casacal.files import write_json
-from casacal.programs import Program, compensate_program, predict_program, read_program
+from casacal.programs import TaughtProgram, compensate_program, predict_program, read_program
 from casacal.programs.program import Form, Number
 
 LANGUAGES = list(ENDINGS)
@@ -359,7 +359,7 @@ def test_a_pose_without_configuration_needs_a_beginning(tmp_path):
     made.files[".script"] = re.sub(r"(?s)(\n  w1 = .*?\n)(.*?)\n  global q3.*", r"\1\2\nend\n", text)
     path = stored(made, tmp_path)
     arm = arm_of("urscript", changes_of(1))
-    with pytest.raises(CasacalError, match="states no configuration, and no joint target stands before it"):
+    with pytest.raises(CasacalError, match="neither a joint target nor --near says where it begins"):
         compensate_program(arm, read_program(path))
     begin = meant_joints(made)["q0"]
     done = compensate_program(arm, read_program(path), begin=begin)
@@ -473,7 +473,7 @@ def test_other_languages_endings_and_arms_are_refused(tmp_path, hsr):
     with pytest.raises(CasacalError, match="zero bytes"):
         read_program(tmp_path / "u.mod")
     (tmp_path / "e.mod").write_text("MODULE M\nENDMODULE\n")
-    assert isinstance(read_program(tmp_path / "e.mod"), Program)
+    assert isinstance(read_program(tmp_path / "e.mod"), TaughtProgram)
     with pytest.raises(CasacalError, match="holds no move to a target"):
         compensate_program(arm_of("rapid"), str(tmp_path / "e.mod"))
     with pytest.raises(CasacalError, match="The tool 't' is not understood: it has 2 numbers"):
@@ -491,7 +491,7 @@ def test_a_refused_result_corrects_no_program(tmp_path):
         "verdict": {"level": "do not use", "words": "Do not use it: it is made up.", "reasons": []},
     }
     arm = type(made)(made.file, made.source, denied)
-    with pytest.raises(RefusedResultError, match="a program has no place for a warning"):
+    with pytest.raises(RefusedResultError, match="a program has no place for warnings"):
         compensate_program(arm, str(_plain(tmp_path)))
 
 
