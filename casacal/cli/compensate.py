@@ -206,6 +206,9 @@ def _tell(options: argparse.Namespace, arm: CalibratedArm, corrected: CorrectedP
         for i, why in corrected.why.items()
     ]
     care = [words for words in (arm.caution, *column_notes(arm, corrected.missing, ())) if words is not None]
+    joints = [abs(value) for target in program.targets if target.kind == "joints" for value in target.values]
+    if program.language != "urscript" and 0 < max(joints, default=0.0) <= math.tau:
+        care.append("warning: no joint value is larger than 6.3 degrees: are they radians?")
     found = {
         "moves": moves,
         "left": left,

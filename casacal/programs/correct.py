@@ -278,7 +278,7 @@ def _proof(
     known: Which,
     joints: Array,
     meant: Array,
-    inverse: bool,
+    nominal: bool,
     written: TaughtProgram,
 ) -> tuple[Array, Array]:
     """How far tips (N,; mm) were from what was meant, and are with a program as written; NaN for other targets."""
@@ -293,7 +293,7 @@ def _proof(
             flange = target.base @ written.form.pose(target.values) @ np.linalg.inv(tools[row])
             taken[row] = run.arm.reach(flange[None, :3, 3], flange[None, :3, :3], joints[[row]])[0]
     for values, into in ((run.joints[known], before), (taken, left)) if known.size else ():
-        there = predict(arm, values, nominal=inverse).poses
+        there = predict(arm, values, nominal=nominal).poses
         into[known] = np.linalg.norm(((there - meant) @ tools)[:, :3, 3], axis=1)
     return before, left
 

@@ -543,6 +543,15 @@ def test_the_command_corrects_predicts_and_refuses(fitted, tmp_path, capsys):
     assert (tmp_path / "c.src").read_text() == (fitted / "mine.src").read_text()  # from an arm onto itself
 
 
+def test_radians_where_degrees_belong_are_asked_about(fitted, tmp_path, capsys):
+    (tmp_path / "r.src").write_text("DEF r()\nPTP {A1 0.5,A2 0.2,A3 0.1,A4 0,A5 0.7,A6 0}\nEND\n")
+    assert (
+        main(["compensate", str(fitted / "result.json"), str(tmp_path / "r.src"), "--out", str(tmp_path / "o.src")])
+        == 0
+    )
+    assert "are they radians?" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
