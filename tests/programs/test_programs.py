@@ -400,6 +400,18 @@ def test_a_singular_target_and_a_jump_are_refused(tmp_path):
         compensate_program(arm, str(_plain(tmp_path)), largest=1e-6)
 
 
+@pytest.mark.parametrize("seed", [5, 8])
+def test_a_wrist_that_would_turn_over_is_refused_where_no_configuration_is_stated(seed, tmp_path):
+    """Poses of URScript: the true arm takes this one with axis 5 on the other side of zero, 0.3 rad away."""
+    joints = np.radians([30, -70, 80, -100, 0.03, 20])
+    numbers = w.numbers_of("urscript", flange("urscript", joints))
+    first, second = (",".join(f"{v:.12f}" for v in part) for part in (joints, numbers))
+    text = f"def m():\n  set_tcp(p[0,0,0,0,0,0])\n  movej([{first}])\n  movel(p[{second}])\nend\n"
+    (tmp_path / "m.script").write_text(text)
+    with pytest.raises(CasacalError, match="line 4, target .* jumps to another configuration"):
+        compensate_program(arm_of("urscript", changes_of(seed)), str(tmp_path / "m.script"), largest=0.4)
+
+
 def _plain(folder):
     (folder / "p.mod").write_text(RAPID.format(line="MoveL p1,v100,fine,t1;"))
     return folder / "p.mod"
