@@ -179,7 +179,7 @@ def taken(language, wanted, start):
 
 
 def sides(language, joints):
-    """Whether the wrist is behind axis 1, and behind the lower arm, of an arm like IRB; and the margins, mm and mm^2."""
+    """Whether the wrist is behind axis 1, and behind the lower arm, of an arm like IRB; the margins, mm and mm^2."""
     drawing = DRAWINGS[language]
     points = [np.zeros(3)]
     for k in range(1, 6):
@@ -282,7 +282,8 @@ def _rapid(made, joints, pairs, digits):
     data, code = [], []
     for k, ((tool, _), (base, _)) in enumerate(pairs):
         data.append(
-            f"  PERS tooldata tGrip{k}:=[TRUE,[[{_listed(tool[:3], 6)}],[{_listed(tool[3:], 6)}]],[4.5,[0,0,80],[1,0,0,0],0,0,0]];"
+            f"  PERS tooldata tGrip{k}:=[TRUE,[[{_listed(tool[:3], 6)}],[{_listed(tool[3:], 6)}]],"
+            "[4.5,[0,0,80],[1,0,0,0],0,0,0]];"
         )
         user, work = ("[[0,0,0],[1,0,0,0]]", f"[[{_listed(base[:3], 6)}],[{_listed(base[3:], 6)}]]")
         user, work = (user, work) if k else (work, user)
@@ -300,7 +301,8 @@ def _rapid(made, joints, pairs, digits):
             continue
         numbers = numbers_of("rapid", _goal(made, name, "pose", q, tool, base))
         config = ",".join(map(str, configuration("rapid", q)))
-        literal = f"[[{_listed(numbers[:3], digits)}],[{_listed(numbers[3:], digits + 2)}],[{config}],[9E9,9E9,9E9,9E9,9E9,9E9]]"
+        place, turn = _listed(numbers[:3], digits), _listed(numbers[3:], digits + 2)
+        literal = f"[[{place}],[{turn}],[{config}],[9E9,9E9,9E9,9E9,9E9,9E9]]"
         data.append(f"  {'LOCAL ' * (i % 4 == 1)}CONST robtarget {name} := {literal}; ! taught {name}:=[[1,2,3]]")
         if circle:
             code.append(f"    MoveC p{10 * (i - 1)}, {name}, v200, fine, {end};")
@@ -346,7 +348,7 @@ def _krl(made, joints, pairs, digits):
         for pair in pairs
         for t, _ in pair
     ]
-    code += [f"TOOL_DATA[1]={rows[0]}", f"BASE_DATA[1]={rows[1]}", f"DECL FRAME fWork", f"fWork={rows[3]}"]
+    code += [f"TOOL_DATA[1]={rows[0]}", f"BASE_DATA[1]={rows[1]}", "DECL FRAME fWork", f"fWork={rows[3]}"]
     made.options["tools"] = {"TOOL_DATA[2]": pairs[1][0][0]}
     circle = ""
     for i, q in enumerate(joints):
@@ -444,8 +446,9 @@ def _urscript(made, joints, pairs, digits):
 def _fanuc(made, joints, pairs, digits):
     code, data = [], []
     made.options = {
-        "tools": {f"UT{k + 1}": pairs[k][0][0] for k in range(2)}, "bases": {f"UF{k + 1}": pairs[k][1][0] for k in range(2)}
-    }  # fmt: skip
+        "tools": {f"UT{k + 1}": pairs[k][0][0] for k in range(2)},
+        "bases": {f"UF{k + 1}": pairs[k][1][0] for k in range(2)},
+    }
     circle = False
 
     def say(text):
@@ -475,10 +478,10 @@ def _fanuc(made, joints, pairs, digits):
         numbers = numbers_of("fanuc", _goal(made, i, "pose", q, tool, base))
         flip, elbow, back, *turns = configuration("fanuc", q)
         shown = [re.sub(r"(?<![\d])(-?)0\.", r"\1.", f"{v:.{digits}f}").rjust(10) for v in numbers]
-        data += [
-            f"{label}{{", "   GP1:", f"\tUF : {k + 1}, UT : {k + 1},\t\tCONFIG : '{flip} {elbow} {back}, {turns[0]}, {turns[1]}, {turns[2]}',",
-            f"\tX ={shown[0]}  mm,\tY ={shown[1]}  mm,\tZ ={shown[2]}  mm,", f"\tW ={shown[3]} deg,\tP ={shown[4]} deg,\tR ={shown[5]} deg", "};",
-        ]  # fmt: skip
+        config = f"'{flip} {elbow} {back}, {turns[0]}, {turns[1]}, {turns[2]}'"
+        data += [f"{label}{{", "   GP1:", f"\tUF : {k + 1}, UT : {k + 1},\t\tCONFIG : {config},"]
+        data += [f"\tX ={shown[0]}  mm,\tY ={shown[1]}  mm,\tZ ={shown[2]}  mm,"]
+        data += [f"\tW ={shown[3]} deg,\tP ={shown[4]} deg,\tR ={shown[5]} deg", "};"]
         if circle:
             code[-1] = code[-1].replace(" ;", f"\n    :  {move} 100mm/sec CNT50    ;")
             circle = False
@@ -507,8 +510,10 @@ def _fanuc(made, joints, pairs, digits):
 def _yaskawa(made, joints, pairs, digits):
     code, data = [], ["/JOB", "//NAME CELL", "//POS", f"///NPOS {len(joints)},0,0,0,0,0"]
     made.options = {
-        "tools": {f"TOOL{k}": pairs[k][0][0] for k in range(2)}, "bases": {f"USER{k + 1}": pairs[k][1][0] for k in range(2)}, "pulses": PULSES
-    }  # fmt: skip
+        "tools": {f"TOOL{k}": pairs[k][0][0] for k in range(2)},
+        "bases": {f"USER{k + 1}": pairs[k][1][0] for k in range(2)},
+        "pulses": PULSES,
+    }
     for i, q in enumerate(joints):
         k, name = i // 10 % 2, f"C{i:05d}"
         (_, tool), (_, base) = pairs[k]
