@@ -24,7 +24,7 @@ TINY = 1e-5  # below which a number is rounding alone
 
 def given_files(text):
     """Files that a page gives the reader to write, by name."""
-    return re.findall(r"`(out/[\w./]+)`:\n\n```csv\n(.*?)```", text, re.S)
+    return re.findall(r"`(out/[\w./]+)`[^\n]*:\n\n```(?:csv|text)\n(.*?)```", text, re.S)
 
 
 def outputs(text):

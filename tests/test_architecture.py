@@ -29,6 +29,7 @@ ORDER = [
     "study",
     "effects",
     "deployment",
+    "programs",
     "simulation",
     "planning",
     "calibration",

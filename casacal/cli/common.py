@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from casacal.model.problem import Problem
     from casacal.model.problem_file import ProblemFile
     from casacal.planning.candidates import Clearance
+    from casacal.programs.program import TaughtProgram
     from casacal.values import Array, Box
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -88,7 +89,7 @@ def of_instrument(source: ProblemFile, name: str | None) -> ProblemFile:
 
 
 def _add_readings(parser: argparse.ArgumentParser) -> None:
-    add(parser, "--readings FILE", "CSV or .xlsx with the readings, when SAMPLES has none")
+    add(parser, "--readings FILE", "CSV or .xlsx with the readings, when SAMPLES has none, as a robot program")
     add(parser, "--id COLUMN", "column that joins readings to their poses; default: pose", default="pose")
 
 
@@ -118,6 +119,45 @@ def fresh_rows(options: argparse.Namespace) -> tuple[CalibratedArm, ProblemFile 
     named = options.instrument if other is not None else measured_by(result, options.samples, options.instrument)
     problem = for_instrument(result, named).source.problem if other is None else other.problem
     return result, other, named, problem.read(options.samples, readings=options.readings, key=options.id)
+
+
+PROGRAM = "RAPID (.mod), KRL (.src with its .dat), URScript (.script), FANUC TP (.ls), Yaskawa (.jbi)"
+
+
+def add_program(parser: argparse.ArgumentParser) -> None:
+    """Add what a robot program leaves to its controller."""
+    pose = "the numbers of a pose as the program's language has them: NAME=X,Y,Z,..."
+    add(parser, "--tool NAME=POSE ...", f"a tool that a program names and does not hold, or 'flange'; {pose}")
+    add(parser, "--base NAME=POSE ...", f"a base, work object or user frame likewise, or 'world'; {pose}")
+    add(parser, "--near Q1,...", "joint values (degrees) where a program begins whose poses state no configuration")
+    add(parser, "--pulses N1,...", "pulses per degree of the six axes, for Yaskawa's positions in pulses")
+
+
+PROGRAM_OPTIONS = ("tool", "base", "near", "pulses")
+
+
+def read_program_of(options: argparse.Namespace, path: str) -> tuple[TaughtProgram, list[float] | None]:
+    """A robot program as the options complete it, and where it begins (6,; rad) if they say."""
+    from casacal.programs.read import read_program
+
+    tools, bases = (
+        _read(f"--{kind}", getattr(options, kind), "NAME=NUMBERS", f"a pose such as {kind}1=0,0,150,0,0,0", _numbers)
+        for kind in ("tool", "base")
+    )
+    pulses, near = (
+        None
+        if (text := getattr(options, kind)) is None
+        else _read(f"--{kind}", [f"={text}"], "six numbers", "six", _numbers)[""]
+        for kind in ("pulses", "near")
+    )
+    if near is not None and len(near) != 6:
+        raise CasacalError(f"--near has {len(near)} joint values", "Give six, in degrees")
+    begin = None if near is None else [math.radians(value) for value in near]
+    return read_program(path, tools=tools, bases=bases, pulses=pulses), begin
+
+
+def _numbers(text: str) -> list[float]:
+    return [_number(part) for part in text.split(",")]
 
 
 def spare(outs: Iterable[str | Path], *inputs: str | Path | None, option: str = "--out", own: bool = False) -> None:
@@ -174,7 +214,11 @@ def box_of(text: str, *, option: str = "--box") -> tuple[tuple[float, float], tu
 
 def add_samples(parser: argparse.ArgumentParser) -> None:
     """Add SAMPLES, --samples, and readings in a file of their own."""
-    add(parser, "[SAMPLES]", "CSV (-: standard input), .xlsx, .npy or .npz; default: samples.csv beside the problem")
+    add(
+        parser,
+        "[SAMPLES]",
+        "CSV (-: standard input), .xlsx, .npy or .npz; default: samples.csv beside the problem; or a robot program",
+    )
     words = "samples of each of several instruments, such as --samples dial=a.csv --samples tracker=b.csv; default: "
     words += "samples-dial.csv and so on beside the problem"
     add(parser, "--samples NAME=FILE ...", words, dest="sets")
@@ -218,13 +262,32 @@ def sample_files(source: ProblemFile, options: argparse.Namespace) -> dict[str, 
 def read_samples(source: ProblemFile, options: argparse.Namespace, *, absurd: bool = False) -> Samples | Measurements:
     """The samples of the only instrument, or of all; raises CasacalError as `sample_files` and `Problem.read` do."""
     from casacal.data.samples import Measurements
+    from casacal.programs.read import is_program
 
     problem, files = source.problem, sample_files(source, options)
     if len(files) == 1:
         (only,) = files.values()
+        if is_program(only):
+            return _read_of_program(problem, only, options)
         return problem.read(only, readings=options.readings, key=options.id, absurd=absurd)
     sets = (problem.read(file, i, absurd=absurd) for i, file in enumerate(files.values()))
     return Measurements(problem.names, tuple(sets))
+
+
+def _read_of_program(problem: Problem, path: str, options: argparse.Namespace) -> Samples:
+    """Joint targets of a robot program as the joints, and the readings that were taken at them, by their names."""
+    from casacal.data.samples import read_any_table
+    from casacal.data.samples import Samples
+    from casacal.data.text import joined_tables
+    from casacal.programs.read import joint_table, read_program
+
+    if options.readings is None:
+        what = f"'{path}' is a robot program, which holds joint targets and no readings"
+        raise CasacalError(what, f"Name a CSV by --readings, with a column '{options.id}' of the targets' names")
+    readings = read_any_table(options.readings)
+    named = set(readings.column(options.id)) if options.id in readings.header else ()
+    poses = joint_table(read_program(path), named, options.id)
+    return Samples.from_table(joined_tables(poses, readings, key=options.id), problem.layout())
 
 
 Read = TypeVar("Read")

@@ -3,10 +3,29 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, FORCE, INSTRUMENT, JSON, RESULT, add, add_frame, read_arm
+from casacal.cli.common import (
+    DONE,
+    FAILED,
+    FORCE,
+    INSTRUMENT,
+    JSON,
+    PROGRAM,
+    PROGRAM_OPTIONS,
+    RESULT,
+    add,
+    add_frame,
+    add_program,
+    read_arm,
+    read_program_of,
+)
 from casacal.cli.terminal import answer
+from casacal.errors import CasacalError
 from casacal.wording import counted, listed
+
+if TYPE_CHECKING:
+    from casacal.deployment.arm import CalibratedArm
 
 HELP = "predict poses of the calibrated arm"
 
@@ -17,14 +36,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Write the pose x_mm,y_mm,z_mm,qw,qx,qy,qz of a calibrated arm at each row of joint values, in the base frame. "
         "The flange is what robot.pose of the problem gives; the tip is where the instrument touches, including tool "
         "and, where JOINTS has that column, the reading. Exit 1, and no file, for a result that must not be "
-        "used, unless --force is given."
+        f"used, unless --force is given. Of a robot program in place of JOINTS, {PROGRAM}, it says move by move "
+        "where the tool in force really goes, how far off that is, and the flange's standard deviation."
     )
     add(parser, *RESULT)
     add(parser, *INSTRUMENT)
-    add(parser, "JOINTS", "CSV with the joint columns of a samples file, and those that tell an effect (torques)")
+    add(
+        parser,
+        "JOINTS",
+        "CSV with the joint columns of a samples file, and those that tell an effect (torques); or a robot program",
+    )
     add(parser, "--out FILE", "CSV of poses", required=True)
     add_frame(parser, "poses of the flange or of the tip")
     add(parser, "--std", "add a column std_mm: standard deviation of the position, apart from the position of the base")
+    add_program(parser)
     add(parser, "--nominal", "use the arm as drawn, not as calibrated")
     add(parser, *FORCE)
     add(parser, *JSON)
@@ -34,8 +59,13 @@ def run(options: argparse.Namespace) -> int:
     """Predict as the options say; returns 0."""
     from casacal.deployment.arm import column_notes
     from casacal.deployment.predict import joints_from, predict, write_prediction
+    from casacal.programs.read import is_program
 
     result = read_arm(options, options.joints)
+    if is_program(options.joints):
+        return _run_program(options, result)
+    if given := [name for name in PROGRAM_OPTIONS if getattr(options, name)]:
+        raise CasacalError(f"--{given[0]} is for a robot program", "Leave it out for a table of joints")
     joints = joints_from(options.joints, result.source)
     nominal = options.nominal
     prediction = predict(result, joints, frame=options.frame, nominal=nominal, std=options.std, force=options.force)
@@ -64,3 +94,24 @@ def run(options: argparse.Namespace) -> int:
     }
     answer(options, found, f"Written: {options.out} ({counted(len(prediction), 'pose')} of the {options.frame})", *said)
     return DONE
+
+
+def _run_program(options: argparse.Namespace, result: CalibratedArm) -> int:
+    """Predict the moves of a program; returns 1 where some are not understood or not reached, else 0."""
+    from casacal.deployment.arm import column_notes
+    from casacal.programs.correct import predict_program, write_program_prediction
+
+    if options.nominal or options.frame != "flange":
+        raise CasacalError("--nominal and --frame are for tables of joints", "A program's own tools are predicted")
+    program, begin = read_program_of(options, options.joints)
+    run, prediction = predict_program(result, program, begin=begin, force=options.force)
+    write_program_prediction(options.out, run, prediction)
+    lost = [f"line {each.line}: {each.what}" for each in program.puzzles]
+    lost += [f"line {program.targets[i].line}: '{program.targets[i].name}': {why}" for i, why in run.why.items()]
+    said = [*column_notes(result, prediction.missing, prediction.beyond), *(f"No pose: {each}" for each in lost[:5])]
+    said += [f"... and {len(lost) - 5} more"] if len(lost) > 5 else []
+    said += [words for words in (result.denial, result.caution) if words is not None]
+    moves = sum(move.target not in run.why for move in program.moves)
+    found = {"poses": moves, "left": lost, "verdict": result.verdict, "written": [options.out]}
+    answer(options, found, f"Written: {options.out} ({counted(moves, 'move')})", *said)
+    return FAILED if lost else DONE

@@ -275,7 +275,7 @@ def compensate(
     rounding, drawn = rounding or Rounding(), result.source.problem.without_terms
     nominal = PosedArm.of(drawn, local_coordinates(result, nominal=True), frame, row_constants(result, drawn))
     result.check_usable(force=force)
-    _trusted(result, frame)
+    refuse_untrusted(result, frame)
     still = np.zeros((len(targets), len(drawn.robot.axes)))
     extra = TellingColumns.by(result, rows_with(targets, np.arange(len(targets)), still))
     used, local = result.used, local_coordinates(result, of=result.used)
@@ -311,7 +311,7 @@ def compensate(
     )
 
 
-def _trusted(result: CalibratedArm, frame: str) -> None:
+def refuse_untrusted(result: CalibratedArm, frame: str) -> None:
     """Refuse a result that is no calibrated robot, unless it is forced, which the file then says."""
     if result.denial is not None:
         return
