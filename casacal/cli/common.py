@@ -276,8 +276,7 @@ def read_samples(source: ProblemFile, options: argparse.Namespace, *, absurd: bo
 
 def _read_of_program(problem: Problem, path: str, options: argparse.Namespace) -> Samples:
     """Joint targets of a robot program as the joints, and the readings that were taken at them, by their names."""
-    from casacal.data.samples import read_any_table
-    from casacal.data.samples import Samples
+    from casacal.data.samples import Samples, read_any_table
     from casacal.data.text import joined_tables
     from casacal.programs.read import joint_table, read_program
 
