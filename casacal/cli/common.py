@@ -13,6 +13,7 @@ from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
     from casacal.data.samples import Measurements, Samples
+    from casacal.data.text import Table
     from casacal.deployment.arm import CalibratedArm
     from casacal.model.problem import Problem
     from casacal.model.problem_file import ProblemFile
@@ -88,8 +89,9 @@ def of_instrument(source: ProblemFile, name: str | None) -> ProblemFile:
     return source if name is None else replace(source, problem=problem.measured_by(name))
 
 
-def _add_readings(parser: argparse.ArgumentParser) -> None:
-    add(parser, "--readings FILE", "CSV or .xlsx with the readings, when SAMPLES has none, as a robot program")
+def add_readings(parser: argparse.ArgumentParser, words: str = "the readings, when SAMPLES has none") -> None:
+    """Add the options that name what a table or a program without readings lacks."""
+    add(parser, "--readings FILE", f"CSV or .xlsx with {words}, as a robot program")
     add(parser, "--id COLUMN", "column that joins readings to their poses; default: pose", default="pose")
 
 
@@ -99,7 +101,7 @@ def add_fresh_rows(parser: argparse.ArgumentParser, standing: str) -> None:
     words = f"instrument that took these rows; default: the one with these columns, {OF_SEVERAL}"
     add(parser, "--instrument NAME", words)
     add(parser, "SAMPLES", "fresh rows: CSV, .xlsx, .npy or .npz")
-    _add_readings(parser)
+    add_readings(parser)
     words = "the same arm with the instrument of these rows, such as a tracker; default: that of the calibration"
     add(parser, "--problem PROBLEM", words)
     add(parser, "--standing NAMES ...", f"{standing}: floor,wall,...")
@@ -222,7 +224,7 @@ def add_samples(parser: argparse.ArgumentParser) -> None:
     words = "samples of each of several instruments, such as --samples dial=a.csv --samples tracker=b.csv; default: "
     words += "samples-dial.csv and so on beside the problem"
     add(parser, "--samples NAME=FILE ...", words, dest="sets")
-    _add_readings(parser)
+    add_readings(parser)
 
 
 def sample_files(source: ProblemFile, options: argparse.Namespace) -> dict[str, str]:
@@ -261,32 +263,31 @@ def sample_files(source: ProblemFile, options: argparse.Namespace) -> dict[str, 
 
 def read_samples(source: ProblemFile, options: argparse.Namespace, *, absurd: bool = False) -> Samples | Measurements:
     """The samples of the only instrument, or of all; raises CasacalError as `sample_files` and `Problem.read` do."""
-    from casacal.data.samples import Measurements
+    from casacal.data.samples import Measurements, Samples
     from casacal.programs.read import is_program
 
     problem, files = source.problem, sample_files(source, options)
     if len(files) == 1:
         (only,) = files.values()
         if is_program(only):
-            return _read_of_program(problem, only, options)
+            return Samples.from_table(program_table(only, options), problem.layout(), absurd=absurd)
         return problem.read(only, readings=options.readings, key=options.id, absurd=absurd)
     sets = (problem.read(file, i, absurd=absurd) for i, file in enumerate(files.values()))
     return Measurements(problem.names, tuple(sets))
 
 
-def _read_of_program(problem: Problem, path: str, options: argparse.Namespace) -> Samples:
-    """Joint targets of a robot program as the joints, and the readings that were taken at them, by their names."""
-    from casacal.data.samples import Samples, read_any_table
+def program_table(path: str, options: argparse.Namespace, holds: str = "readings") -> Table:
+    """Joint targets of a robot program, joined by their names to what `--readings` has of them."""
+    from casacal.data.samples import read_any_table
     from casacal.data.text import joined_tables
     from casacal.programs.read import joint_table, read_program
 
     if options.readings is None:
-        what = f"'{path}' is a robot program, which holds joint targets and no readings"
+        what = f"'{path}' is a robot program, which holds joint targets and no {holds}"
         raise CasacalError(what, f"Name a CSV by --readings, with a column '{options.id}' of the targets' names")
     readings = read_any_table(options.readings)
     named = set(readings.column(options.id)) if options.id in readings.header else ()
-    poses = joint_table(read_program(path), named, options.id)
-    return Samples.from_table(joined_tables(poses, readings, key=options.id), problem.layout())
+    return joined_tables(joint_table(read_program(path), named, options.id), readings, key=options.id)
 
 
 Read = TypeVar("Read")

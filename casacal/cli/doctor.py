@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, FAILED, JSON, PROBLEM, add
+from casacal.cli.common import DONE, FAILED, JSON, PROBLEM, add, add_readings, program_table
 from casacal.cli.terminal import say, say_json
 from casacal.errors import CasacalError
 
@@ -26,7 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Exit 1 if the answer is not certain or nothing fits."
     )
     add(parser, *PROBLEM)
-    add(parser, "POSES", "CSV of three rows or more: q1,q2,...,x,y,z and qw,qx,qy,qz or rx,ry,rz or a,b,c")
+    words = "CSV of three rows or more: q1,q2,...,x,y,z and qw,qx,qy,qz or rx,ry,rz or a,b,c; or a robot program"
+    add(parser, "POSES", words)
+    add_readings(parser, "what the pendant shows at joint targets, when POSES does not hold it")
     add(parser, "--tool POSE", "tool frame of the pendant, relative to the flange; default: the flange")
     add(parser, "--base POSE", "pose of the robot's base in the pendant's user frame; default: the same frame")
     add(parser, "--tolerance MM", "largest allowed error of a row, in mm and mrad; default: 3", kind=float, default=3.0)
@@ -44,10 +46,12 @@ def run(options: argparse.Namespace) -> int:
     from casacal.doctor.words import diagnosis_text
     from casacal.model.joints import Conventions
     from casacal.model.problem_file import keep_conventions, load_problem
+    from casacal.programs.read import is_program
 
     source = load_problem(options.problem)
     robot = source.problem.robot
-    rows = read_pendant_rows(options.poses, robot.revolute.tolist())
+    poses = program_table(options.poses, options, "poses") if is_program(options.poses) else options.poses
+    rows = read_pendant_rows(poses, robot.revolute.tolist())
     base, tool = _pose("--base", options.base), _pose("--tool", options.tool)
     found = diagnose(robot, rows, base=base, tool=tool, tolerance=options.tolerance)
     kept = None

@@ -80,8 +80,8 @@ class PendantRows:
         )
 
 
-def read_pendant_rows(path: str | Path, turns: Sequence[bool]) -> PendantRows:
-    """Read pendant rows of a robot whose joints turn or slide.
+def read_pendant_rows(source: str | Path | Table, turns: Sequence[bool]) -> PendantRows:
+    """Read pendant rows of a robot whose joints turn or slide, from a file or its cells.
 
     Columns: q1, q2, ... with _deg or _rad (sliding: _mm, _m) or bare; x, y, z with _mm or _m or bare; an orientation as
     qw, qx, qy, qz, or as three columns rx, ry, rz or a, b, c or w, p, r or o, a, t with _deg or _rad or bare. In place
@@ -89,7 +89,7 @@ def read_pendant_rows(path: str | Path, turns: Sequence[bool]) -> PendantRows:
 
     Raises SamplesError.
     """
-    table = _with_poses(read_table(path))
+    table = _with_poses(source if isinstance(source, Table) else read_table(source))
     joints = [_column(table, f"q{i}", ANGLES if turning else LENGTHS) for i, turning in enumerate(turns, 1)]
     for name in table.header:
         stem = name.split("_")[0]

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 import written_programs as w
 from conftest import ROOT
+from oracles import dh_chain
+from scipy.spatial.transform import Rotation
 from written_programs import ENDINGS, arm_of, changes_of, flange, landed, read_back, written
 
 from casacal import calibrate
@@ -654,3 +656,35 @@ def test_joint_targets_are_the_joints_of_a_calibration(hsr, corner_simulation, t
     (tmp_path / "r.csv").write_text("\n".join([*readings, "t999,0.1,floor"]) + "\n")
     assert main(["calibrate", problem, program, "--readings", str(tmp_path / "r.csv"), *options]) == 2
     assert "'t999' has no pose in" in capsys.readouterr().err
+
+
+def test_the_doctor_takes_the_joint_targets_of_a_program(tmp_path, capsys):
+    """The pendant's pose at each target, by hand-multiplied DH matrices; one sign is turned round in the program."""
+    table = np.array(
+        [[90, 150, 400, 0], [0, 600, 0, 90], [90, 120, 0, 0], [-90, 0, 640, 0], [90, 0, 0, 0], [0, 0, 100, 0]]
+    )
+    rows = [f"{i},{al},{a},{d},{th},-170,170" for i, (al, a, d, th) in enumerate(table.tolist(), 1)]
+    head = "# name: A\n# convention: standard\njoint,alpha_deg,a_mm,d_mm,theta_deg,lower_deg,upper_deg\n"
+    (tmp_path / "a.csv").write_text(head + "\n".join(rows) + "\n")
+    arm = ["--dh", str(tmp_path / "a.csv"), "--tool", "0,0,120", "--sign", "-1", "--travel", "10", "--accuracy", "1"]
+    assert main(["new", "a", *arm, "--out", str(tmp_path)]) == 0
+    shown = np.random.default_rng(4).uniform(-60, 60, (5, 6)).round(3)
+    declared, readings = [], ["pose,x_mm,y_mm,z_mm,qw,qx,qy,qz"]
+    alpha, a, d, theta = table[:, 0], table[:, 1], table[:, 2], table[:, 3]
+    for i, q in enumerate(shown):
+        meant = q * [1, 1, -1, 1, 1, 1]
+        pose = dh_chain(np.radians(alpha), a, d, np.radians(theta + meant))
+        turn = np.roll(Rotation.from_matrix(pose[:3, :3]).as_quat(), 1)
+        readings.append(f"t{i}," + ",".join(f"{v:.5f}" for v in [*pose[:3, 3], *turn]))
+        declared.append(f"CONST jointtarget t{i}:=[[{','.join(map(str, q))}],[9E9,9E9,9E9,9E9,9E9,9E9]];")
+    moves = [f"MoveAbsJ t{i},v100,fine,tool0;" for i in range(5)]
+    (tmp_path / "p.mod").write_text(
+        "\n".join(["MODULE M", *declared, "PROC main()", *moves, "ENDPROC", "ENDMODULE", ""])
+    )
+    (tmp_path / "r.csv").write_text("\n".join([*readings[:1], *reversed(readings[1:])]) + "\n")
+    capsys.readouterr()
+    command = ["doctor", str(tmp_path / "a"), str(tmp_path / "p.mod")]
+    assert main(command) == 2
+    assert "holds joint targets and no poses" in capsys.readouterr().err
+    assert main([*command, "--readings", str(tmp_path / "r.csv")]) == 0
+    assert "signs = [1, 1, -1, 1, 1, 1]" in capsys.readouterr().out
