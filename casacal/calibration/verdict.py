@@ -20,7 +20,9 @@ from casacal.deployment.result import Verdict
 from casacal.effects.selection import at_most, errors_are_shared
 from casacal.effects.trusted import COVERED
 from casacal.fit.bound_problem import BoundProblem
+from casacal.fit.kernel_rows import constraint_set
 from casacal.fit.methods import minimises
+from casacal.model.constraint import Constraint
 from casacal.uncertainty.moves import prior_scatter
 from casacal.uncertainty.noise import is_usual, repeats_to
 from casacal.uncertainty.tip_error import spread_rms
@@ -56,6 +58,7 @@ LEAST_SHOWN = 0.01  # millimetres below which nobody asks how little a tip errs
 LEFT_TO_PRIORS = 0.5
 """Expected tip error over the one before, above which the priors decide more of it than the samples."""
 OVERSTATED = 0.3  # found over stated noise, surely below which rows count for a tenth of what they are worth
+CERTIFIED = 4.0  # standard deviations from what rows and priors say beyond which a certificate is not of this arm
 CONTRADICTED = 1e-3  # chance below which new rows do not fit what an earlier result knows
 
 
@@ -363,7 +366,12 @@ def _expected(calibration: Calibration) -> str:
 
 def _against(calibration: Calibration) -> list[tuple[str, str]]:
     """Reasons to refuse a result: for each a clause for the verdict's sentence, and a full sentence."""
-    looks = (held_as_drawn, earlier_contradicted, _out_of_reach)  # the first may look like wrong samples
+    looks = (
+        certificate_contradicted,
+        held_as_drawn,
+        earlier_contradicted,
+        _out_of_reach,
+    )  # the second may look like wrong samples
     found = [(clause, sentence(clause)) for look in looks if (clause := look(calibration))]
     found += [
         (f"the samples look wrong ({error.about})", sentence(str(error).removeprefix("error: ").removesuffix(".")))
@@ -389,6 +397,52 @@ def _against(calibration: Calibration) -> list[tuple[str, str]]:
         clause = f"the tip would err by {mm(calibration.tip_std[1])}, more than an arm as drawn"
         found.append((clause, f"{why} Add postures that turn the tool far about two axes, or state priors."))
     return found
+
+
+def certificate_contradicted(calibration: Calibration) -> str:
+    """Why a certified quantity is not that of the arm that was measured; empty where none is at odds with the rest."""
+    far = [each for each in certificates(calibration) if abs(each.off) > CERTIFIED]
+    if not far:
+        return ""
+    worst = max(far, key=lambda each: abs(each.off))
+    return (
+        f"'{worst.name}', certified as {worst.value:g} {worst.unit}, contradicts rows and priors: without it they say "
+        f"{worst.otherwise:.6g}, {abs(worst.off):.1f} standard deviations away; look whether it is of this arm, and "
+        "in mm or rad"
+    )
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """A certified quantity, what rows and priors say without it, and how many standard deviations off that is."""
+
+    name: str
+    value: float
+    unit: str
+    otherwise: float
+    off: float
+
+
+def certificates(calibration: Calibration) -> tuple[Certificate, ...]:
+    """What is certified of the arm, each against the rows and all other priors.
+
+    The studentised residual of the certificate as one more row (Cook and Weisberg, Residuals and Influence in
+    Regression, 1982, section 2.2.1): its residual over what is left of its variance.
+    """
+    fit, result, found = calibration.fit, calibration.result, []
+    for each in fit.problem.constraints:
+        if not isinstance(each, Constraint) or not each.std:
+            continue
+        told = constraint_set([each], fit.slots, np.ones(fit.unknowns))
+        assert told is not None
+        (now,), (slope,) = told.evaluate(result.x)
+        seen = slope != 0
+        left = 1 - float(slope[seen] @ result.covariance[np.ix_(seen, seen)] @ slope[seen]) / each.std**2
+        left = left if left > 0 else 1.0  # of a method whose own covariance is no bound
+        away = each.low - float(now)
+        off = away / (each.std * math.sqrt(left))
+        found.append(Certificate(each.name, each.low, each.unit, each.low - away / left, off))
+    return tuple(found)
 
 
 def most_turned(fit: BoundProblem) -> float:
