@@ -97,6 +97,8 @@ def bind(
     bound = BoundProblem(problem, slots, sets, backend, threads, known=stated_prior(problem.constraints, slots))
     if bound.unknowns and not np.isfinite(bound.normal(bound.x0).gradient).all():
         _refuse_kinks(bound)
+    if bound.constraints is not None:
+        _refuse_held(bound)
     if bound.constraints is not None and (twice := bound.constraints.redundant(bound.feasible(bound.x0))):
         named = " and ".join(f"'{name}'" for name in twice)
         raise ProblemError(f"The equalities {named} say the same of the unknowns", "Leave one of them out")
@@ -126,6 +128,18 @@ def _refuse_absurd(samples: Samples) -> None:
             what = f"{values[far[0]]:g} as {name} is no value that anything shows"
             line, *also = (int(samples.lines[k]) for k in far.tolist())
             raise SamplesError(samples.file, what, "Check the value and its unit", line=line, also=also)
+
+
+def _refuse_held(bound: BoundProblem) -> None:
+    """Raise ProblemError for a constraint on held unknowns alone that these do not meet."""
+    known = bound.constraints
+    assert known is not None
+    values, _ = known.evaluate(bound.x0)
+    for k in np.flatnonzero(~known.depends.any(axis=1) & ~((known.low <= values) & (values <= known.high))):
+        if abs(values[k] - known.low[k]) > 1e-9 * (1 + abs(values[k])):
+            ends = [f"{end:.6g}" for end in dict.fromkeys((known.low[k], known.high[k]))]
+            what = f"'{known.names[k]}' is {values[k]:.6g} of unknowns that are held, and is to be {' to '.join(ends)}"
+            raise ProblemError(what, "Free one of them, correct the drawing, or leave the constraint out")
 
 
 def _refuse_kinks(bound: BoundProblem) -> None:

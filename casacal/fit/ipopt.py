@@ -170,6 +170,8 @@ def nlpsol(
         return nothing_unknown(problem, solver)
     if problem.graph is None:
         raise ProblemError("IPOPT needs the symbolic form of a problem and this one has none", "Use lm instead")
+    if options is not None and not isinstance(options, Mapping):
+        raise CasacalError(f"Got {came(options)} as the options of '{solver}'", "Give a dict of options by name")
     graph: RawForm = problem.graph
     stages, start = [loss], graph.start
     while (first := stages[0]) is not None and first.after is not None:

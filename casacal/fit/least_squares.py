@@ -579,6 +579,7 @@ def as_result(outcome: Result | Array | Any, problem: LeastSquares, method: str)
     wanted = f"Return a Result, or x of shape {problem.x0.shape}"
     try:
         x = np.array(outcome.x if isinstance(outcome, Result) else outcome, dtype=np.float64)
+        x = x[:, 0] if x.shape == (problem.unknowns, 1) else x  # CasADi's vectors are columns
     except (TypeError, ValueError):
         raise CasacalError(f"Got {came(outcome)} from the method '{method}'", wanted) from None
     if x.shape != problem.x0.shape:

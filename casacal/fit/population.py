@@ -13,10 +13,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from casacal.errors import ProblemError
+from casacal.errors import ProblemError, came
 from casacal.fit.least_squares import LeastSquares, Result, Status, nothing_unknown
 from casacal.kernels.losses import Loss
-from casacal.values import Array, Index
+from casacal.values import Array, Index, is_finite
 
 BUDGET = 1_000_000  # rows of residuals that a population method may evaluate unless told otherwise
 WIDTH = 4.0  # half width of the box, in prior standard deviations (`start_std` where the prior is flat)
@@ -63,6 +63,8 @@ class Search:
         exact: bool = False,
         progress: Callable[[int, float], None] | None = None,
     ) -> None:
+        if budget is not None and not (is_finite(budget) and float(budget).is_integer()):
+            raise ProblemError(f"Got {came(budget)} as the budget", "Give a whole number of rows, or None for no limit")
         if (budget is not None and budget < LEAST * problem.rows) or not width > 0:
             raise ProblemError(
                 f"A budget of {budget} rows and a box of {width:g} standard deviations were given",
@@ -274,6 +276,7 @@ def swarm(
     """
     if not problem.unknowns:
         return nothing_unknown(problem, "swarm")
+    _refuse_few("particles", particles, 2)
     search = Search(problem, budget=budget, width=width, loss=loss, progress=progress)
     rng, steps = np.random.default_rng(seed), 0
     count = int(min(particles or 10 + int(2 * math.sqrt(search.unknowns)), search.allowed - search.spent))
@@ -322,6 +325,7 @@ def evolution(
     """
     if not problem.unknowns:
         return nothing_unknown(problem, "evolution")
+    _refuse_few("candidates", population, FEWEST)
     search = Search(problem, budget=budget, width=width, loss=loss, progress=progress)
     rng, steps, k = np.random.default_rng(seed), 0, 0
     size = first = int(max(min(population, search.allowed // 10), FEWEST))
@@ -348,6 +352,12 @@ def evolution(
             points, costs = points[kept], costs[kept]
             lost = lost[rng.permutation(len(lost))[: int(ARCHIVE * size)]]
     return search.result("evolution", steps)
+
+
+def _refuse_few(what: str, count: object, least: int) -> None:
+    """Raise ProblemError for a population that is none; None leaves its size to the method."""
+    if count is not None and not (isinstance(count, (int, np.integer)) and count >= least):
+        raise ProblemError(f"{count!r} {what} were asked for", f"Give a whole number, {least} or more")
 
 
 def _factors(rng: np.random.Generator, about: Array) -> Array:

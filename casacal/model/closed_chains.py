@@ -26,7 +26,8 @@ def passive(
 
     Newton's steps go from `home` to q on a straight line, so that the loop stays as it is assembled there. They are
     written out in elementary operations: kernels, exports and derivatives up to the third are those of any pose. Where
-    the loop does not close, or only beyond a singularity, values are not numbers.
+    the loop does not close, or only beyond a singularity, values are not numbers. Between home and q no change point
+    may lie, at which a linkage folds flat and may go on in either of two ways, as a parallelogram does.
 
     Args:
         loop: `loop(u, q)` gives the closure errors (m; mm, rad) at passive joint values u (m), zero where it is closed.

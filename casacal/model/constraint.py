@@ -22,6 +22,8 @@ from casacal.model.geometry import packed_symbols
 from casacal.model.unknown import Unknown
 from casacal.values import Value, is_finite, is_real, plain
 
+NOT_UNITS = ("deg", "degrees", "mrad", "um", "cm", "m", "in", "inch", "inches")  # p has no value in any of these
+
 
 class NamedValues(dict[str, Any]):
     """Values of unknowns by full name, each made when it is first asked for."""
@@ -62,6 +64,9 @@ class Constraint(Value):
         if not callable(self.expression) and not self.graph:
             fix = "Give a function of p, such as lambda p: p.a[1] - p.a[2]"
             raise ProblemError(f"Got {came(self.expression)} as the expression of '{self.name}'", fix)
+        if not isinstance(self.unit, str) or self.unit in NOT_UNITS:
+            fix = "Build it in mm or rad, as p has its values, and say so"
+            raise ProblemError(f"'{self.name}' has the unit {self.unit!r}", fix)
         numbers = is_real(self.low) and is_real(self.high) and is_finite(self.std)
         held = numbers and (is_finite(self.low) or is_finite(self.high)) and self.low <= self.high and self.std >= 0
         if not held:
@@ -117,7 +122,7 @@ def equal(name: str, expression: Callable[[Any], Any], *, value: float = 0.0, un
         name: what results and sentences call it.
         expression: p -> one number, built from the values of the unknowns.
         value: what it equals, in `unit`.
-        unit: of the quantity, "mm" or "rad" or one's own word.
+        unit: of the quantity, "mm" or "rad", in which p has its values; or one's own word, such as "mm^2".
 
     Raises ProblemError for what is none of these.
 
@@ -159,7 +164,11 @@ class Correlation:
     @staticmethod
     def of(names: Sequence[str], covariance: Any) -> tuple[Correlation, dict[str, float]]:
         """Correlation and standard deviations of a covariance (k, k); ProblemError for what is none."""
-        matrix, several = np.asarray(covariance, dtype=np.float64), not isinstance(names, str) and len(set(names)) > 1
+        try:
+            matrix = np.asarray(covariance, dtype=np.float64)
+        except (TypeError, ValueError):
+            matrix = np.zeros(0)
+        several = not isinstance(names, str) and len(set(names)) > 1
         sound = several and matrix.shape == (len(names), len(names)) and np.array_equal(matrix, matrix.T)
         if not sound or not np.isfinite(matrix).all() or np.linalg.eigvalsh(matrix)[0] <= 0:
             what = f"What came of {names!r} is no covariance: symmetric, with positive eigenvalues, a row for each name"

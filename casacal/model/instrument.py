@@ -21,7 +21,7 @@ from casacal.data.columns import Dimension
 from casacal.errors import ProblemError, came, refuse_unknown
 from casacal.model.geometry import Plane, fitted_plane
 from casacal.model.kinematics import Expression, position, transform_point
-from casacal.model.unknown import Parameter, Unknown
+from casacal.model.unknown import Parameter, Unknown, check_own_kind
 from casacal.user_code import Portable
 from casacal.values import Array, Index, Rows, is_real
 
@@ -433,6 +433,7 @@ def check_declaration(instrument: object) -> None:
     for key, unknown in instrument.unknowns.items():
         if not isinstance(unknown, Unknown):
             raise ProblemError(f"Unknown '{key}' of {name} is {came(unknown)}", "Make it a Parameter or its like")
+        check_own_kind(unknown, f"unknown '{key}' of {name}")
     for own in {name for cls in type(instrument).__mro__ if not issubclass(Instrument, cls) for name in vars(cls)}:
         for meant in [] if hasattr(Instrument, own) else difflib.get_close_matches(own, DECLARABLE, 1, 0.85):
             raise ProblemError(

@@ -274,15 +274,23 @@ class Problem(Value):
         covariance: matrices (k, k) of prior errors that belong together, by the names of these components, such as
         {("a2", "a3"): [[0.4, 0.1], [0.1, 0.4]]}. Standard deviations that are given later keep the correlation.
 
-        Raises UnknownNameError for a name that does not exist or is held, ProblemError for one of mixed units, what is
-        no covariance, and names in two of them.
+        Raises UnknownNameError for a name that does not exist or is held, ProblemError for what is no covariance, and
+        for names in two of them or with a standard deviation beside it.
         """
+        if not isinstance(covariance, Mapping):
+            what = f"Got {came(covariance)} as the covariance"
+            raise ProblemError(
+                what, 'Give a dict of matrices by names, such as {("a2", "a3"): [[0.4, 0.1], [0.1, 0.4]]}'
+            )
         changed, known = self, list(self.constraints)
         for names, matrix in covariance.items():
             one, own = Correlation.of(names, matrix)
             known = [each for each in known if each.name != one.name]
             if both := {n for each in known if isinstance(each, Correlation) for n in each.names}.intersection(names):
                 raise ProblemError(f"'{min(both)}' is known together with others", "Give one covariance of all")
+            if both := set(own).intersection(stds):
+                fix = "Give its standard deviation by the covariance alone"
+                raise ProblemError(f"'{min(both)}' has a standard deviation and a covariance", fix)
             known, stds = [*known, one], {**stds, **own}
         for name, std in stds.items():
             changed = changed._edit(name, partial(_with_std, name, std))

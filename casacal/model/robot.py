@@ -16,7 +16,7 @@ from casacal.model.dh_table import DHTable, Stds
 from casacal.model.joints import Conventions, Joint, joints_of
 from casacal.model.kinematics import Expression
 from casacal.model.traced_pose import Screws, TracedPose, joint_count, traced, traced_function, travels
-from casacal.model.unknown import Unknown
+from casacal.model.unknown import Unknown, check_own_kind
 from casacal.values import Array, FrozenMapping, Rows, Value, alike, read_only, short
 
 PoseFunction = Callable[[Any, Expression], Expression]
@@ -64,6 +64,7 @@ class Robot(Value):
                 raise ProblemError(f"Robot parameter '{key}' is per '{unknown.per}'", "Only instruments vary by label")
             if unknown.nominal is None:
                 raise ProblemError(f"Robot parameter '{key}' has no nominal value", "Give it the drawing's")
+            check_own_kind(unknown, f"robot parameter '{key}'")
 
     @property
     def axes(self) -> tuple[Joint, ...]:

@@ -182,6 +182,8 @@ class TracedPose(Value):
                 pose = np.array(ca.DM(self.at_drawn(ca.DM(q))))
             except RuntimeError:  # of a function that is called
                 continue
+            if not np.isfinite(pose).all():
+                continue
             turn = pose[:3, :3]
             bent = np.abs(turn.T @ turn - np.eye(3)).max()
             if bent > RIGID:

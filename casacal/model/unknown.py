@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casacal.errors import ProblemError
+from casacal.errors import ProblemError, said
 from casacal.model.kinematics import Expression
 from casacal.values import Array, Rows, plain, read_only
 
@@ -202,6 +202,37 @@ def start_stds(prior: Array, start: Array | None, units: tuple[str, ...], what: 
     if not np.isfinite(result).all() or (result <= 0).any():
         raise ProblemError(f"start_std of {what} is {_shown(result)}", "Give positive finite numbers")
     return result
+
+
+def check_own_kind(unknown: Unknown, what: str) -> None:
+    """Raise ProblemError where a kind of unknown of one's own says of itself what cannot be."""
+    if type(unknown).__module__.startswith("casacal."):
+        return
+    whose = f"{what}, a {type(unknown).__name__}"
+    units = unknown.units
+    if not isinstance(units, tuple) or not units or not all(isinstance(unit, str) for unit in units):
+        raise ProblemError(f"The units of {whose}, are {units!r}", 'Give a tuple such as ("mm", "rad")')
+    try:
+        stds = np.asarray(unknown.prior_stds, dtype=np.float64)
+        nominal = np.zeros(len(units)) if unknown.nominal is None else np.asarray(unknown.nominal, dtype=np.float64)
+    except (TypeError, ValueError):
+        fix = "Give prior_stds and nominal as arrays of numbers"
+        raise ProblemError(f"prior_stds or nominal of {whose}, are no numbers", fix) from None
+    if stds.shape != (len(units),) or not (stds > 0).all():
+        fix = f"Give {len(units)} positive numbers, one for each of its units; inf is flat"
+        raise ProblemError(f"prior_stds of {whose}, are {stds.tolist()}", fix)
+    if nominal.ndim != 1 or not np.isfinite(nominal).all():
+        raise ProblemError(f"The nominal of {whose}, is {nominal.tolist()}", "Give finite numbers, or None")
+    local = ca.SX.sym("local", len(units))
+    try:
+        value = ca.SX(unknown.packed(unknown.at(ca.DM(nominal), local)))
+    except Exception as error:  # whatever a user's function raises
+        fix = "It takes nominal and local, each a column, and gives a value built of both"
+        raise ProblemError(f"`at` of {whose}, failed: {said(error)}", fix) from error
+    for j, unit in enumerate(units):
+        if not ca.depends_on(value, local[j]):
+            fix = "Build the value from all of local, which is zero at the nominal"
+            raise ProblemError(f"`at` of {whose}, does not use number {j + 1} of local ({unit})", fix)
 
 
 def tangent_basis(unit: Array) -> Array:

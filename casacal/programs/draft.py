@@ -10,7 +10,7 @@ import re
 from bisect import bisect
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -29,6 +29,7 @@ from casacal.programs.program import (
     TaughtProgram,
 )
 from casacal.values import Array
+from casacal.wording import shortened
 
 WORLD, FLANGE = "world", "flange"
 """Names of a base and a tool that every program has: where its world stands in the problem's base frame, and where the
@@ -39,6 +40,23 @@ IN_FORCE: Mapping[Kind, str] = {"tool": "tool in force", "base": "base in force"
 Span = tuple[int, int]
 Tree = Span | list["Tree"]
 """A span of text, or a list in brackets of such."""
+
+
+@dataclass(frozen=True)
+class Ways:
+    """Words of a language by which a program takes other ways than from line to line.
+
+    opens, closes: ends of blocks, routines among them. turns: branches within a block. routine: the head of a routine,
+    with its name. apart: what lets a routine run at any time.
+    """
+
+    opens: re.Pattern[str]
+    closes: re.Pattern[str]
+    turns: re.Pattern[str]
+    routine: re.Pattern[str]
+    apart: re.Pattern[str]
+
+
 EXTERNAL = "an external axis moves with it, and where that puts arm or work is not known"
 
 
@@ -56,6 +74,8 @@ class Draft:
         self.framed = set[str]()  # names that stand for a tool or a base
         self.targets = dict[Number, Target]()
         self.moves: list[tuple[int, int, Motion, Number]] = []
+        self.posed: list[Span] = []  # file and letter of moves to poses
+        self.sets: list[tuple[Kind, int, int, Array | None]] = []  # file, letter, and what is in force from there on
         self.puzzles: list[Puzzle] = []
 
     def line(self, file: int, at: int) -> int:
@@ -159,12 +179,48 @@ class Draft:
         """What to do about a frame that only the options can give."""
         return f"Give it: --{kind} '{name}={self.form.named}'"
 
-    def set_in_force(self, kind: Kind, make: Callable[[], Array]) -> None:
-        """Let a frame be in force, or the reason why it is not known."""
+    def set_in_force(self, kind: Kind, make: Callable[[], Array], at: Span | None = None) -> None:
+        """Let a frame be in force, or the reason why it is not known: from a letter of a file on, -1 its begin.
+
+        Without a place it holds for one move.
+        """
         try:
-            self.frames[IN_FORCE[kind]] = make()
+            self.frames[IN_FORCE[kind]] = found = make()
         except CasacalError as error:
             self.frames[IN_FORCE[kind]] = error
+            found = None
+        if at is not None:
+            self.sets.append((kind, *at, found))
+
+    def refuse_other_ways(self, file: int, ways: Ways) -> None:
+        """Note moves to poses whose tool or base depends on the way that the program takes to them.
+
+        Certain is a frame that never changes, and one that was set in the block of the move, or in one around it, with
+        nothing in between that sets another: no branch, no routine that is called, nothing later in a loop.
+        """
+        text = self.texts[file]
+        blocks = _blocks(text, ways)
+        routines = {
+            head[1].lower(): (head.start(), next((b for a, b in blocks if a == head.start()), len(text)))
+            for head in ways.routine.finditer(text)
+        }
+        for kind in IN_FORCE:
+            sets = [(at, frame) for k, where, at, frame in self.sets if (k, where) == (kind, file)]
+            known = [frame for at, frame in sets if frame is not None or at >= 0]
+            first = known[0] if known else None
+            if not known or (first is not None and all(f is not None and np.allclose(f, first) for f in known)):
+                continue
+            places = [at for at, _ in sets if at >= 0]
+            setting = _setting(text, routines, places)
+            apart = ways.apart.search(text) is not None and len(setting) > 1
+            for where, at in self.posed:
+                before = max((place for place in places if place < at), default=-1)
+                if where != file or (not apart and _straight(text, ways, blocks, before, at, places, setting)):
+                    continue
+                lines = shortened(sorted({self.line(file, place) for place in places}))
+                with self.understanding(file, at):
+                    what = f"which {kind} holds here depends on the way of the program, which sets it in lines {lines}"
+                    raise CasacalError(what, "Set it right before the move, in the same block")
 
     def known(self, name: str) -> Array | None:
         """A frame that a joint target can do without."""
@@ -181,6 +237,7 @@ class Draft:
             if not all(np.allclose(one, two, atol=1e-9) for one, two in pairs):  # type: ignore[arg-type]
                 what = f"'{target.name}' is reached with another tool or base than before: no one correction suits both"
                 raise CasacalError(what, "Give each use a target of its own")
+            self.posed.append(at)
         self.moves.append((at[0], self.line(*at), motion, key))
 
     def finished(self) -> TaughtProgram:
@@ -202,6 +259,47 @@ class Draft:
         return TaughtProgram(
             self.language, self.paths, self.raw, targets, moves, puzzles, unused, self.form, self.given
         )
+
+
+def _blocks(text: str, ways: Ways) -> list[Span]:
+    """Blocks of a text, each from where it opens to where it closes, or to the end."""
+    marks = sorted(
+        [(m.start(), 1) for m in ways.opens.finditer(text)] + [(m.start(), 0) for m in ways.closes.finditer(text)]
+    )
+    open_, found = list[int](), list[Span]()
+    for at, opens in marks:
+        if opens:
+            open_.append(at)
+        elif open_:
+            found.append((open_.pop(), at))
+    return found + [(at, len(text)) for at in open_]
+
+
+def _setting(text: str, routines: Mapping[str, Span], places: Sequence[int]) -> set[str]:
+    """Routines that set a frame, or call one that does."""
+    setting = {name for name, (a, b) in routines.items() if any(a <= at < b for at in places)}
+    for _ in routines:
+        calls = re.compile(rf"(?i)(?<!\w)(?:{'|'.join(map(re.escape, setting)) or '(?!)'})\s*\(")
+        setting |= {name for name, (a, b) in routines.items() if calls.search(text, text.find("(", a) + 1, b)}
+    return setting
+
+
+def _straight(
+    text: str, ways: Ways, blocks: Sequence[Span], before: int, at: int, places: Sequence[int], setting: set[str]
+) -> bool:
+    """Whether what was set at one letter holds at a later one whatever way the program takes."""
+    if before < 0:
+        return False
+    around = [block for block in blocks if block[0] < before < block[1]]
+    entered = [block for block in blocks if before < block[0] < at < block[1]]
+    if any(not a < at < b for a, b in around) or any(a < place < b for a, b in entered for place in places):
+        return False
+    closed = [block for block in blocks if before < block[0] and block[1] < at]
+    turns = (mark.start() for mark in ways.turns.finditer(text, before, at))
+    if any(not any(a < turn < b for a, b in [*closed, *entered]) for turn in turns):
+        return False
+    calls = re.compile(rf"(?i)(?<!\w)(?:{'|'.join(map(re.escape, setting)) or '(?!)'})\s*\(")
+    return calls.search(text, before, at) is None
 
 
 def blanked(text: str, pattern: str) -> str:

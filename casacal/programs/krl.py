@@ -9,11 +9,12 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from casacal.errors import CasacalError
-from casacal.programs.draft import EXTERNAL, IN_FORCE, NUMBERS, Draft, Kind, Span, nested, spans_of
+from casacal.programs.draft import EXTERNAL, IN_FORCE, NUMBERS, Draft, Kind, Span, Ways, nested, spans_of
 from casacal.programs.program import Form, Given, Motion, Target, TaughtProgram
 from casacal.values import Array
 
@@ -27,7 +28,10 @@ ASSIGNED = re.compile(
     r"=(?!=)[ \t]*([^\r\n]*)"
 )
 MOVES = re.compile(r"(?im)^[ \t]*S?(PTP|LIN|CIRC|(?<=S)PL)[ \t]+([^\r\n]*)")
-OTHERS = re.compile(r"(?im)^[ \t]*((?:S?PTP|S?LIN|S?CIRC)_\w+|ASYPTP|SEARCH\w*)\b")
+OTHERS = re.compile(
+    r"(?im)^[ \t]*((?:S?PTP|S?LIN|S?CIRC)_\w+|ASYPTP|SEARCH\w*|\$IPO_MODE[ \t]*=[ \t]*#TCP|"
+    r"\$ACT_(?:TOOL|BASE)[ \t]*=|ANIN[ \t]+ON)(?!\w)"
+)
 SETS = re.compile(r"(?i)BAS[ \t]*\([ \t]*#(TOOL|BASE|EX_BASE)[ \t]*,[ \t]*([^)\r\n]*)\)")
 MOTIONS: Mapping[str, tuple[Motion, ...]] = {
     "PTP": ("joint",), "LIN": ("linear",), "CIRC": ("via", "end"), "PL": ("spline",)
@@ -35,6 +39,13 @@ MOTIONS: Mapping[str, tuple[Motion, ...]] = {
 PARTS = ("X", "Y", "Z", "A", "B", "C")
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 KINDS: tuple[Kind, Kind] = ("tool", "base")
+WAYS = Ways(
+    opens=re.compile(r"(?im)^[ \t]*(?:GLOBAL[ \t]+)?(?:DEF|DEFFCT|IF|FOR|WHILE|LOOP|REPEAT|SWITCH)(?!\w)"),
+    closes=re.compile(r"(?im)^[ \t]*(?:END|ENDFCT|ENDIF|ENDFOR|ENDWHILE|ENDLOOP|UNTIL|ENDSWITCH)(?!\w)"),
+    turns=re.compile(r"(?im)^[ \t]*(?:ELSE|CASE|DEFAULT|GOTO)(?!\w)"),
+    routine=re.compile(r"(?im)^[ \t]*(?:GLOBAL[ \t]+)?DEF(?:FCT[ \t]+\w+)?[ \t]+(\w+)"),
+    apart=re.compile(r"(?i)(?<!\w)(?:INTERRUPT[ \t]+DECL|GLOBAL[ \t]+INTERRUPT|TRIGGER)(?!\w)"),
+)
 
 
 def configuration(joints: Array, bits: Array) -> Array:
@@ -56,6 +67,7 @@ def read(files: Mapping[str, str], given: Given) -> TaughtProgram:
     for file in range(len(files)):
         _moves(draft, file, data)
         draft.refuse(file, OTHERS)
+        draft.refuse_other_ways(file, WAYS)
         draft.refuse_other_uses(file, r"[ \t]*(\.|=|\r?\n)", "PTP, LIN, CIRC, SPTP, SLIN, SCIRC or SPL")
     return draft.finished()
 
@@ -110,7 +122,7 @@ def _moves(draft: Draft, file: int, data: Mapping[str, dict[str, str]]) -> None:
     """Note the moves of a file, with what $TOOL and $BASE are where they stand."""
     text = draft.texts[file]
     for kind in KINDS:
-        draft.set_in_force(kind, lambda kind=kind: draft.frame(kind, f"${kind}"))  # type: ignore[misc]
+        draft.set_in_force(kind, partial(draft.frame, kind, f"${kind}"), (file, -1))
     marks = [*MOVES.finditer(text), *SETS.finditer(text), *ASSIGNED.finditer(text)]
     for mark in sorted(marks, key=lambda mark: mark.start()):
         word = mark[1].upper()
@@ -121,11 +133,13 @@ def _moves(draft: Draft, file: int, data: Mapping[str, dict[str, str]]) -> None:
         elif mark.re is SETS:
             for kind in KINDS:
                 if word.endswith(kind.upper()):
-                    draft.set_in_force(kind, lambda: _frame(draft, kind, f"{word}_DATA[{mark[2].strip()}]"))  # noqa: B023
+                    name = f"{word}_DATA[{mark[2].strip()}]"
+                    draft.set_in_force(kind, partial(_frame, draft, kind, name), (file, mark.start()))
         elif word == "FDAT_ACT":
-            _set_by(draft, mark[3].strip(), data)
+            _set_by(draft, mark[3].strip(), data, (file, mark.start()))
         elif word in ("$TOOL", "$BASE"):
-            draft.set_in_force("tool" if word == "$TOOL" else "base", lambda: _set(draft, file, mark))  # noqa: B023
+            kind = "tool" if word == "$TOOL" else "base"
+            draft.set_in_force(kind, partial(_set, draft, file, mark), (file, mark.start()))
 
 
 def _frame(draft: Draft, kind: Kind, name: str) -> Array:
@@ -145,7 +159,7 @@ def _set(draft: Draft, file: int, mark: re.Match[str]) -> Array:
     return _frame(draft, "tool" if mark[1].upper() == "$TOOL" else "base", mark[3].strip())
 
 
-def _set_by(draft: Draft, name: str, data: Mapping[str, dict[str, str]]) -> None:
+def _set_by(draft: Draft, name: str, data: Mapping[str, dict[str, str]], at: Span | None = None) -> None:
     """Let the frames of an FDAT be $TOOL and $BASE."""
 
     def numbered(kind: Kind) -> Array:
@@ -157,7 +171,7 @@ def _set_by(draft: Draft, name: str, data: Mapping[str, dict[str, str]]) -> None
         return _frame(draft, kind, f"{kind.upper()}_DATA[{number}]")
 
     for kind in KINDS:
-        draft.set_in_force(kind, lambda kind=kind: numbered(kind))  # type: ignore[misc]
+        draft.set_in_force(kind, partial(numbered, kind), at)
 
 
 def _move(draft: Draft, file: int, mark: re.Match[str], data: Mapping[str, dict[str, str]]) -> None:
@@ -171,7 +185,7 @@ def _move(draft: Draft, file: int, mark: re.Match[str], data: Mapping[str, dict[
         targets.append(target)
     if draft.texts[file][at : mark.end(2)].lstrip().startswith(":"):
         raise CasacalError("the target is computed at run time", NUMBERS)
-    if re.search(r"(?i)\bWITH\b.*\$(TOOL|BASE)\s*=", mark[2]):  # of this move alone: $TOOL = STOOL2(FP1), ...
+    if own := re.search(r"(?i)\bWITH\b.*\$(TOOL|BASE)\s*=", mark[2]):  # of this move alone: $TOOL = STOOL2(FP1), ...
         spline = re.search(r"(?i)\$TOOL\s*=\s*STOOL2?\s*\(\s*(\w+)", mark[2])
         _set_by(draft, spline[1] if spline else "its WITH", data)
     try:
@@ -179,6 +193,8 @@ def _move(draft: Draft, file: int, mark: re.Match[str], data: Mapping[str, dict[
             look = draft.frame if target.kind == "pose" else lambda _, name: draft.known(name)
             base, tool = (look(kind, IN_FORCE[kind]) for kind in ("base", "tool"))
             draft.move((file, mark.start()), motion, target, base, tool)
+        if own:  # it says itself which frames are its own
+            draft.posed = [each for each in draft.posed if each != (file, mark.start())]
     finally:
         draft.frames = kept
 

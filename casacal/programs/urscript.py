@@ -9,11 +9,12 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from casacal.errors import CasacalError
-from casacal.programs.draft import IN_FORCE, NUMBERS, Draft, Span, arguments, nested, spans_of
+from casacal.programs.draft import IN_FORCE, NUMBERS, Draft, Span, Ways, arguments, nested, spans_of
 from casacal.programs.program import DEGREE, Form, Given, Motion, Target, TaughtProgram
 from casacal.values import Array
 
@@ -32,6 +33,13 @@ QUIET = re.compile(
 )
 """Functions that only look at a pose."""
 TCP = "tcp"
+WAYS = Ways(
+    opens=re.compile(r"(?m)(?<![\w.])(?:def|thread|sec|if|while|for)(?!\w)"),
+    closes=re.compile(r"(?<![\w.])end(?!\w)"),
+    turns=re.compile(r"(?<![\w.])(?:elif|else)(?!\w)"),
+    routine=re.compile(r"(?<![\w.])(?:def|thread|sec)\s+(\w+)"),
+    apart=re.compile(r"(?<![\w.])(?:thread|run)(?!\w)"),
+)
 
 
 def configuration(joints: Array, _: Array) -> Array:
@@ -43,7 +51,7 @@ def read(files: Mapping[str, str], given: Given) -> TaughtProgram:
     """Read a script."""
     draft = Draft("urscript", FORM, files, given, ASIDE)
     text = draft.texts[0]
-    draft.set_in_force("tool", lambda: draft.frame("tool", TCP))
+    draft.set_in_force("tool", lambda: draft.frame("tool", TCP), (0, -1))
     calls = [(found, _end_of(text, found.end() - 1)) for found in CALLS.finditer(text)]
     inside = bytearray(len(text))
     for found, end in calls:
@@ -56,13 +64,15 @@ def read(files: Mapping[str, str], given: Given) -> TaughtProgram:
         with draft.understanding(0, found.start()):
             if found[1] == "set_tcp":
                 first = arguments(text, found.end(), end)[0]
-                draft.set_in_force("tool", lambda first=first: FORM.pose(_pose(draft, first).values))  # type: ignore[misc]
+                make = partial(_tool, draft, first)
+                draft.set_in_force("tool", make, (0, found.start()))
             elif found[1] in MOTIONS:
                 draft.see(0, (found.start(), end))
                 _move(draft, found, end)
         if QUIET.fullmatch(found[1]):
             draft.see(0, (found.start(), end))
     draft.refuse(0, OTHERS)
+    draft.refuse_other_ways(0, WAYS)
     draft.refuse_other_uses(0, r"(?!.)", "movej, movel, movep or movec")
     return draft.finished()
 
@@ -108,6 +118,11 @@ def _at(draft: Draft, span: Span) -> Target:
     """What an argument names or holds."""
     words = draft.texts[0][slice(*span)]
     return draft.named(words) if re.fullmatch(r"[A-Za-z_]\w*", words) else _value(draft, span, words[:24])
+
+
+def _tool(draft: Draft, span: Span) -> Array:
+    """The transform that a pose stands for."""
+    return FORM.pose(_pose(draft, span).values)
 
 
 def _pose(draft: Draft, span: Span) -> Target:

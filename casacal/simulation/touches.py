@@ -444,6 +444,10 @@ def spot(reached: Array, k: int | None) -> Array:
 
     Arms come to it from many sides: it stands neither next to the base nor at arm's length.
     """
+    reached = reached[np.isfinite(reached).all(axis=1)]
+    if not len(reached):
+        what = "The tip has a place in none of 400 random postures"
+        raise SimulationError(what, "See that the pose is a number there: whether its loops close, and depend on u")
     midst = np.median(reached, axis=0)
     if k is None:
         return np.asarray(midst)

@@ -20,7 +20,7 @@ def test_a_program_of_ones_own_is_judged_as_lm_is(bound, hsr, tmp_path):
     x = bound.symbolic.x0 + bound.symbolic.start_std * y
     opti.minimize(bound.symbolic.objective(x))
     opti.solver("ipopt", {"print_time": False}, {"print_level": 0, "sb": "yes"})
-    found = calibration_of(bound, np.array(opti.solve().value(x)), method="opti")
+    found = calibration_of(bound, ca.DM(opti.solve().value(x)), method="opti")  # a column
     usual = calibrate(hsr, bound.samples[0], method="lm", noise="stated", outliers="keep", discrepancy="none")
     assert found.method == "opti"
     assert found.reference.agrees

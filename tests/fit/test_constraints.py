@@ -260,6 +260,8 @@ def test_numerical_steps_against_hand_made_ones():
         (lambda: between("t", links, 2.0, 1.0), "the lower end first"),
         (lambda: between("t", links), "one end finite at least"),
         (lambda: between("t", links, INF, INF), "one end finite at least"),
+        (lambda: equal("t", links, unit="um"), "'t' has the unit 'um'. Build it in mm or rad"),
+        (lambda: between("t", links, 0.0, unit="deg"), "the unit 'deg'"),
         (lambda: links, "Got a function as a constraint"),
     ],
 )
@@ -296,7 +298,9 @@ def test_a_constraint_on_what_is_held_is_met_or_refused(ur5):
         if met:
             assert lm(bind(made, samples)).cost == pytest.approx(lm(bind(problem.fix("a"), samples)).cost, rel=1e-9)
         else:
-            with pytest.raises(ProblemError, match="'twins'"):
+            with pytest.raises(
+                ProblemError, match=r"'twins' is -32\.75 of unknowns that are held, and is to be -32\. Free"
+            ):
                 bind(made, samples)
 
 

@@ -89,6 +89,7 @@ def test_options_reach_the_plug_in(corner_bound):
         ({"solver": "knitro"}, "There is no nlpsol plug-in named 'knitro'. Known: "),
         ({"solver": 3}, "Got an int as a solver"),
         ({"solver": "scpgen"}, "The solver 'scpgen' does not take this program: 'qpsol' option has not been set. Give"),
+        ({"options": ["a"]}, "Got a list as the options of 'ipopt'. Give a dict"),
         ({"solver": "sqpmethod", "options": {"nonsense": 1}}, "The solver 'sqpmethod' does not take this program: "),
     ],
 )

@@ -292,3 +292,23 @@ def test_a_published_one_that_is_absent_says_so(name, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(CasacalError, match=rf"{name.split()[0]} is not installed\. Install .* 'casacal\[population\]'"):
         studies.PUBLISHED[name](with_a_datum(), seed=0, budget=10_000)
+
+
+@pytest.mark.parametrize(
+    ("method", "options", "words"),
+    [
+        (annealing, {"budget": math.inf}, "Got a float as the budget. Give a whole number of rows, or None"),
+        (swarm, {"budget": "many"}, "Got a str as the budget"),
+        (swarm, {"budget": 1e4 + 0.5}, "as the budget"),
+        (swarm, {"particles": 1}, "1 particles were asked for. Give a whole number, 2 or more"),
+        (swarm, {"particles": 2.5}, "2.5 particles"),
+        (evolution, {"population": 3}, "3 candidates were asked for. Give a whole number, 4 or more"),
+    ],
+)
+def test_sizes_that_are_none_are_refused(method, options, words):
+    with pytest.raises(ProblemError, match=words):
+        method(with_a_datum(), **options)
+
+
+def test_a_budget_may_be_a_whole_number_of_any_kind():
+    assert swarm(with_a_datum(), budget=8e3).x == pytest.approx(swarm(with_a_datum(), budget=np.int64(8000)).x)

@@ -199,3 +199,17 @@ def test_effect_sizes_count_a_joint_prior_as_it_is():
         step = 1e-5 * np.eye(2)[k]
         slope = (value(one + step)[0] - value(one - step)[0]) / 2e-5
         assert value(one)[1][k] == pytest.approx(slope, rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("stds", "covariance", "words"),
+    [
+        ({"b1": 3.0}, TOGETHER, "'b1' has a standard deviation and a covariance. Give"),
+        ({}, [("b1", "b2")], "Got a list as the covariance. Give a dict"),
+        ({}, {("b1", "b2"): [["a", "b"], ["c", "d"]]}, "is no covariance"),
+    ],
+)
+def test_what_is_given_twice_or_is_none_is_refused(stds, covariance, words):
+    _, bound = weighing(0)
+    with pytest.raises(ProblemError, match=words):
+        bound.problem.with_prior(stds, covariance=covariance)

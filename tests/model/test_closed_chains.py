@@ -8,12 +8,24 @@ import pytest
 from closed_forms import FORMS
 from conftest import ROOT
 
-from casacal import Joint, Parameter, Robot, Samples, bind, calibrate, compensate, load_problem
+from casacal import (
+    Joint,
+    Parameter,
+    Problem,
+    Robot,
+    Samples,
+    TrackedPoint,
+    bind,
+    calibrate,
+    compensate,
+    load_problem,
+    simulate,
+)
 from casacal.calibration.conventions import mirror_image
 from casacal.cli.main import main
-from casacal.errors import ProblemError, SamplesError
+from casacal.errors import CasacalError, ProblemError, SamplesError
 from casacal.model import passive
-from casacal.model.kinematics import rotation, translate
+from casacal.model.kinematics import chain, rotate_z, rotation, translate
 from casacal.model.links import Links
 from casacal.model.robot import random_joints
 
@@ -128,6 +140,16 @@ def test_an_arm_that_never_closes_is_refused_in_a_sentence():
     robot = Robot("open", [Joint("revolute", -1, 1)], pose, {"size": Parameter(1.0)})
     with pytest.raises(ProblemError, match="The pose of 'open' is a number in hardly any posture"):
         random_joints(robot, 10, np.random.default_rng(0))
+
+
+def test_a_loop_that_a_passive_joint_is_no_part_of_is_refused_in_a_sentence():
+    def pose(p, q):
+        u = passive(lambda u, q: ca.vertcat(p.a * ca.cos(q) - 100.0, u[0]), q[0], home=(0.5,), start=(0.0, 0.0))
+        return chain(rotate_z(q[0]), translate(p.a + u[1], 0, 0))
+
+    robot = Robot("loose", [Joint("revolute", -1, 1)], pose, {"a": Parameter(100.0, prior_std=0.1)})
+    with pytest.raises(CasacalError, match="loops close"):
+        simulate(Problem(robot, TrackedPoint(noise_std=0.02)), samples=20)
 
 
 def test_where_a_loop_is_open_nothing_is_compared():

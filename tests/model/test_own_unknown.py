@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import ClassVar
 
 import casadi as ca
@@ -161,3 +162,43 @@ def test_a_name_that_does_not_exist_is_named_with_those_that_do():
     wrong = dataclasses.replace(ROBOT, pose=lambda p, q: ca.SX.eye(4) * p.len)
     with pytest.raises(ProblemError, match="there is no 'len', but alpha, a, d"):
         _ = Problem(wrong, Slip()).symbols.pose
+
+
+class Broken(Unknown):
+    """An unknown of one's own with one slip."""
+
+    units = ("mm", "rad")
+    prior_stds = np.array([1.0, 0.01])
+    nominal = np.array([3.0, 0.0])
+
+    def at(self, nominal, local):
+        return nominal + local
+
+
+@pytest.mark.parametrize(
+    ("slip", "words"),
+    [
+        ({"prior_stds": np.array([1.0])}, r"prior_stds of unknown 'axis' of Post, a Broken, are \[1.0\]. Give 2"),
+        ({"prior_stds": np.array([1.0, -1.0])}, "Give 2 positive numbers"),
+        ({"prior_stds": None}, "prior_stds"),
+        ({"prior_stds": ("a", "b")}, "are no numbers"),
+        ({"units": ["mm", "rad"]}, "Give a tuple such as"),
+        ({"units": ("mm", 3)}, "Give a tuple such as"),
+        ({"nominal": np.array([np.nan, 0.0])}, "Give finite numbers, or None"),
+        ({"at": lambda self, nominal: nominal}, "`at` of unknown 'axis' of Post, a Broken, failed"),
+        ({"at": lambda self, nominal, local: nominal + local[0]}, r"does not use number 2 of local \(rad\)"),
+        ({"nominal": np.array([1.0, 2.0, 3.0])}, "`at` of .* failed"),
+    ],
+)
+def test_slips_in_a_kind_of_ones_own_are_named(slip, words, hsr):
+    kind = type("Broken", (Broken,), slip)
+
+    class Post(Instrument):
+        residual_std = 0.01
+        unknowns = MappingProxyType({"axis": kind()})
+
+        def residual(self, pose, p, row):
+            return pose[0, 3] - p.axis[0] - p.axis[1]
+
+    with pytest.raises(ProblemError, match=words):
+        Problem(hsr.problem.robot, Post())
