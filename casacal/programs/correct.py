@@ -36,6 +36,7 @@ from casacal.values import Array, Value
 Which = NDArray[np.intp]
 FINE = Rounding(decimals=10)  # joint values in between are not written
 ALIKE = 1e-6  # mm by which drawings of one type of arm may differ
+MOST_LEFT = 0.1  # mm that a target may miss as written: three times what pulses of a large arm leave
 STILL = 1e-9  # rad within which a joint stands on a border
 JUMPS = "the correction jumps to another configuration of the arm, through a singularity or past a border"
 
@@ -186,7 +187,7 @@ def compensate_program(
     if not skip_unknown:
         program.refuse_puzzles()
     run = run_program(result, program, begin)
-    outcomes, why = [Outcome.UNREACHABLE] * len(program.targets), dict(run.why)
+    outcomes, why = [Outcome.UNREACHABLE] * len(program.targets), program.puzzled | dict(run.why)
     known = np.array([i for i in range(len(outcomes)) if i not in why], dtype=np.intp)
     joints, meant, ended, expected, missing = _steered(result, other, run, known, inverse, largest)
     for i, outcome in zip(known.tolist(), ended, strict=True):
@@ -203,6 +204,9 @@ def compensate_program(
         program.refuse_targets(why)
     texts = program.with_numbers(numbers)
     proof = _proof(other or result, run, known, joints, meant, inverse, read_again(program, texts))
+    if off := [i for i in np.flatnonzero(proof[1] > MOST_LEFT).tolist() if i not in why]:
+        said = "as written it would miss what was meant by {:.3g} mm, for what moves it is corrected elsewhere too"
+        program.refuse_targets({i: said.format(proof[1][i]) for i in off}, "Give it numbers of its own")
     motion, error = (np.full(len(outcomes), np.nan) for _ in range(2))
     motion[known], error[known] = np.abs(joints - run.joints[known]).max(axis=1, initial=0.0), expected
     return CorrectedProgram(program, texts, tuple(outcomes), why, proof[0], motion, proof[1], error, missing)

@@ -215,7 +215,9 @@ class Draft:
             apart = ways.apart.search(text) is not None and len(setting) > 1
             for where, at in self.posed:
                 before = max((place for place in places if place < at), default=-1)
-                if where != file or (not apart and _straight(text, ways, blocks, before, at, places, setting)):
+                another = any(before < a < at < b for a, b in routines.values())
+                certain = not apart and not another and _straight(text, ways, blocks, before, at, places, setting)
+                if where != file or certain:
                     continue
                 lines = shortened(sorted({self.line(file, place) for place in places}))
                 with self.understanding(file, at):

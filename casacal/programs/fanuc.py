@@ -25,10 +25,14 @@ BLOCK = re.compile(r"(?ms)^P\[\s*(\d{1,9})\s*(?::[^\]\r\n]*)?\]\s*\{(.*?)\}")
 MOVES = re.compile(r"(?m)^[ \t]*\d*[ \t]*:[ \t]*([JLCA])[ \t]+([^\r\n;]*(?:\r?\n[ \t]+:[ \t]+[^\r\n;]*)*)")
 SET = re.compile(r"(?m)^[^\r\n]*?:[ \t]*(P)[ \t]*\[\s*(\d+)[^\]\r\n]*\]\s*=")
 NAMED = re.compile(r"(PR?)[ \t]*\[([^\]\r\n]*)\]")
-OTHERS = re.compile(r"(?m)^[ \t]*\d*[ \t]*:[ \t]*(S(?=[ \t]+P\[)|MOVE[ \t]+TO|MOVE_LINE|CALL_MOTION)")
+OTHERS = re.compile(
+    r"(?m)^[ \t]*\d*[ \t]*:[ \t]*(S(?=[ \t]+P\[)|MOVE[ \t]+TO|MOVE_LINE|CALL_MOTION|"
+    r"Touch[ \t]+Offset(?![ \t]+End)|Search[ \t]+Start|Track[ \t]|UTOOL[ \t]*\[[^\r\n]*=|UFRAME[ \t]*\[[^\r\n]*=)"
+)
 MOTIONS: Mapping[str, tuple[Motion, ...]] = {"J": ("joint",), "L": ("linear",), "C": ("via", "end"), "A": ("end",)}
-SHIFTED = re.compile(r"(?i)\b(Tool_Offset|Offset|INC|RTCP|COORD|VOFFSET|AP_LD|RT_LD|INDEV|EV)\b")
+SHIFTED = re.compile(r"(?i)\b(Tool_Offset|Offset|INC|RTCP|VOFFSET|AP_LD|RT_LD|INDEV|EV)\b")
 CONFIG = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*([+-]?\d\d?)\s*,\s*([+-]?\d\d?)\s*,\s*([+-]?\d\d?)\s*'")
+ACTIVE = re.compile(r"(?im)^[ \t]*\d*[ \t]*:[ \t]*(UFRAME|UTOOL)_NUM[ \t]*=[ \t]*0*(\d+|R\[[^\]\r\n]*\])")
 FRAMES = re.compile(r"UF\s*:\s*0*(\d+)\s*,\s*UT\s*:\s*0*(\d+)\s*,")
 
 
@@ -51,9 +55,14 @@ def read(files: Mapping[str, str], given: Given) -> TaughtProgram:
     for each in SET.finditer(text, 0, end):
         what = f"P[{each[2]}] is set again in line {draft.line(0, each.start(1))}"
         draft.names[f"p[{int(each[2])}]"] = CasacalError(what, NUMBERS)
-    for mark in MOVES.finditer(text, begin.end() if begin else end, end):
+    active = dict[str, str]()  # by the instructions UFRAME_NUM and UTOOL_NUM, in the order of the lines
+    marks = [*MOVES.finditer(text, begin.end() if begin else end, end), *ACTIVE.finditer(text, 0, end)]
+    for mark in sorted(marks, key=lambda mark: mark.start()):
+        if mark.re is ACTIVE:
+            active[mark[1].upper()] = mark[2]
+            continue
         with draft.understanding(0, mark.start(1)):
-            _move(draft, mark, frames)
+            _move(draft, mark, frames, active)
     draft.refuse(0, OTHERS)
     return draft.finished()
 
@@ -63,6 +72,9 @@ def _target(draft: Draft, block: re.Match[str], frames: dict[str, tuple[str, str
     group = re.search(r"(?s)GP1\s*:(.*?)(?=GP[2-9]\s*:|\Z)", block[2])
     if group is None:
         raise CasacalError("it has no group GP1", NUMBERS)
+    other = re.search(r"GP[2-9]\s*:", block[2])
+    if other and re.search(r"=\s*[-+]?0*\.?0*[1-9]", block[2][other.end() :]):
+        raise CasacalError("another group moves with it, and where that puts arm or work is not known", NUMBERS)
     name, at, parts = f"P[{int(block[1])}]", block.start(2) + group.start(1), dict[str, Span]()
     for found in re.finditer(r"\b([XYZWPR]|J[1-9]|E[1-9])\s*=\s*(\S*)\s*(?:mm|deg)\b", group[1]):
         if found[1] in parts:
@@ -81,20 +93,28 @@ def _target(draft: Draft, block: re.Match[str], frames: dict[str, tuple[str, str
     return replace(draft.pose(0, [parts[each] for each in "XYZWPR" if each in parts], name, entries), turns=turns)
 
 
-def _move(draft: Draft, mark: re.Match[str], frames: Mapping[str, tuple[str, str]]) -> None:
+def _move(draft: Draft, mark: re.Match[str], frames: Mapping[str, tuple[str, str]], active: Mapping[str, str]) -> None:
     named, motions = NAMED.findall(mark[2]), MOTIONS[mark[1]]
     if len(named) < len(motions):
         raise CasacalError("a move has too few positions", "Write it with P[...]")
+    if re.search(r"(?i)\bCOORD\b", mark[2]):
+        raise CasacalError("it moves together with another group", "Correct it by hand")
     if shift := SHIFTED.search(NAMED.sub("", mark[2])):
         raise CasacalError(f"{shift[1]} shifts the target at run time", "Write the shifted position as a P[...]")
     targets = list[Target]()
     for kind, inner in named[: len(motions)]:
         number = inner.partition(":")[0].strip()
         if kind == "PR" or not re.fullmatch(r"[0-9]{1,9}", number):
-            raise CasacalError(f"the target {kind}[{inner[:30]}] is a register", "Write it as a P[...] with numbers")
+            shown = f"{kind}[{inner[:30]}{']' if '[' in inner else ''}]"
+            known = "a register" if kind == "PR" or "R[" in inner else "no position of this program"
+            raise CasacalError(f"the target {shown} is {known}", "Write it as a P[...] with numbers")
         targets.append(draft.named(f"P[{int(number)}]"))
     for target, motion in zip(targets, motions, strict=True):
         base, tool = None, None
         if target.kind == "pose":
+            for name, kind in zip(frames[target.name], ("UFRAME", "UTOOL"), strict=True):
+                if kind in active and active[kind] != name[2:]:
+                    what = f"{target.name} stands in {name}, and {kind}_NUM is {active[kind]} here"
+                    raise CasacalError(what, "Make them agree, as the controller asks")
             base, tool = (draft.frame(kind, frames[target.name][i]) for i, kind in enumerate(("base", "tool")))  # type: ignore[arg-type]
         draft.move((0, mark.start(1)), motion, target, base, tool)

@@ -30,7 +30,7 @@ ASSIGNED = re.compile(
 MOVES = re.compile(r"(?im)^[ \t]*S?(PTP|LIN|CIRC|(?<=S)PL)[ \t]+([^\r\n]*)")
 OTHERS = re.compile(
     r"(?im)^[ \t]*((?:S?PTP|S?LIN|S?CIRC)_\w+|ASYPTP|SEARCH\w*|\$IPO_MODE[ \t]*=[ \t]*#TCP|"
-    r"\$ACT_(?:TOOL|BASE)[ \t]*=|ANIN[ \t]+ON)(?!\w)"
+    r"\$ACT_(?:TOOL|BASE)(?=[ \t]*=)|ANIN[ \t]+ON)(?!\w)"
 )
 SETS = re.compile(r"(?i)BAS[ \t]*\([ \t]*#(TOOL|BASE|EX_BASE)[ \t]*,[ \t]*([^)\r\n]*)\)")
 MOTIONS: Mapping[str, tuple[Motion, ...]] = {

@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -232,11 +233,28 @@ class TaughtProgram(Value):
             what = f"{self.paths[first.file]}, line {first.line}: {first.what}{also}"
             raise CasacalError(what, f"{first.fix}; or leave such moves as they are with --skip-unknown")
 
-    def refuse_targets(self, why: Mapping[int, str]) -> None:
+    @cached_property
+    def puzzled(self) -> dict[int, str]:
+        """Targets that stand, or are named, in lines which are not understood: why they stay as they are, by index."""
+        lines = [re.split(r"\r\n|\n|\r", text) for text in self.texts]
+        at = {(each.file, each.line) for each in self.puzzles}
+        named = {
+            word.lower(): line for f, line in sorted(at) for word in re.findall(r"P\[\d+|[\w$]+", lines[f][line - 1])
+        }
+        found = dict[int, str]()
+        for i, target in enumerate(self.targets):
+            key = target.name.lower().rstrip("]")
+            line = target.line if (target.file, target.line) in at else named.get(key)
+            own = next((m.line for m in self.moves if m.target == i and (m.file, m.line) in at), None)
+            if (where := own or line) is not None:
+                found[i] = f"line {where} has it, which is not understood"
+        return found
+
+    def refuse_targets(self, why: Mapping[int, str], fix: str = "") -> None:
         """Raise CasacalError for targets that are lost, for a reason by index."""
         target, also = self.targets[min(why)], f" (and {len(why) - 1} more)" if len(why) > 1 else ""
         what = f"{self.paths[target.file]}, line {target.line}, target '{target.name}': {why[min(why)]}{also}"
-        raise CasacalError(what, "Mend it, or leave such targets as they are with --skip-unknown")
+        raise CasacalError(what, fix or "Mend it, or leave such targets as they are with --skip-unknown")
 
     def with_numbers(self, values: Mapping[Number, float]) -> tuple[str, ...]:
         """The texts with other values of some numbers, in the form of the old ones."""

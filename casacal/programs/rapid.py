@@ -27,7 +27,7 @@ MOVES = re.compile(rf"{WORD}Move(AbsJ|J|L|C)(?:DO|AO|GO|Sync)?(?![\w:])([^;]*);"
 KNOWN = re.compile(r"(?i)Move(?:AbsJ|J|L|C)(?:DO|AO|GO|Sync)?|MoveExtJ")
 OTHERS = re.compile(
     rf"{WORD}(Trigg[JLC](?:IOs|DO)?|Search[LC]|Arc[LC]\w*|Spot[JLM]\w*|Disp[LC]|Paint[LC]|CapL|CSS\w+|EGMMove[LC]|"
-    r"EOffsOn|EOffsSet|PDispOn|PDispSet|Move(?:ExtJ|AbsJ|J|L|C)\w*)(?![\w:])"
+    r"SetDataVal|CorrCon|EOffsOn|EOffsSet|PDispOn|PDispSet|Move(?:ExtJ|AbsJ|J|L|C)\w*)(?![\w:])"
 )
 SHIFTS = re.compile(rf"{WORD}(?:PDispOn|PDispSet|EOffsOn|EOffsSet|(PDispOff|EOffsOff))(?![\w:])")
 NO_AXIS = 9e8  # 9E9 stands for an external axis that is not there
@@ -53,6 +53,7 @@ def read(files: Mapping[str, str], given: Given) -> TaughtProgram:
             for known in (draft.names, draft.frames):
                 if found[1].lower() in known:
                     known[found[1].lower()] = CasacalError(f"'{found[1]}' is set again at run time", NUMBERS)
+    _refuse_changed_frames(draft, text)
     shift = None
     for mark in sorted([*MOVES.finditer(text), *SHIFTS.finditer(text)], key=lambda mark: mark.start()):
         if mark.re is SHIFTS:
@@ -64,6 +65,19 @@ def read(files: Mapping[str, str], given: Given) -> TaughtProgram:
     draft.refuse(0, OTHERS, KNOWN)
     draft.refuse_other_uses(0, r"\s*(\.|:=|\{)", "MoveAbsJ, MoveJ, MoveL or MoveC")
     return draft.finished()
+
+
+def _refuse_changed_frames(draft: Draft, text: str) -> None:
+    """Let tools and work objects be unknown that something else than a move is told of: it may change them."""
+    moves = [mark.span() for mark in MOVES.finditer(text)]
+    for found in re.finditer(r"(?<![\w.\\])\w+(?![\w.])", text):
+        name, at = found[0].lower(), found.start()
+        known = isinstance(draft.frames.get(name), np.ndarray) and name not in ("tool0", "wobj0")
+        if not known or draft.seen[0][at] or any(a <= at < b for a, b in moves):
+            continue
+        if not re.search(r"(?i)\\(?:Tool|WObj)\s*:=\s*$", text[max(at - 40, 0) : at]):
+            what = f"'{found[0]}' is told to something in line {draft.line(0, at)} that may change it"
+            draft.frames[name] = CasacalError(what, NUMBERS)
 
 
 def _value(draft: Draft, text: str, found: re.Match[str]) -> Target | Array:
@@ -121,6 +135,8 @@ def _move(draft: Draft, text: str, mark: re.Match[str], shift: int | None) -> No
     ends = len(MOTIONS[kind])
     named = re.match(r"\w+(?=\s*(\\|$))", text[slice(*parts[ends + 2])]) if len(parts) > ends + 2 else None
     work = re.search(r"(?i)\\\s*WObj\s*(?::=\s*(\w+))?", words)
+    if re.search(r"(?i)\\\s*Corr(?!\w)", words):
+        raise CasacalError("a sensor corrects the path of the move", "Correct it by hand")
     if named is None or (work and not work[1]):
         raise CasacalError("the move's tool or work object is not named", "Write target, speed, zone, tool")
     tool, base = None, None
