@@ -32,6 +32,7 @@ def read(tmp_path, text, name="p.script", **options):
         script(SMALL, "if get_standard_digital_in(0):", LARGE, "end", MOVE),
         script("if get_standard_digital_in(0):", LARGE, "else:", SMALL, "end", MOVE),
         script("if get_standard_digital_in(0):", LARGE, "else:", MOVE, "end", SMALL),
+        f"def c():\n  thread t():\n    {LARGE}\n  end\n  run t()\n  {SMALL}\n  {MOVE}\nend\n",
         f"def c():\n  {SMALL}\n  thread t():\n    {LARGE}\n  end\n  run t()\n  {MOVE}\nend\n",
     ],
 )
