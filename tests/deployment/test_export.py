@@ -25,6 +25,7 @@ from casacal.deployment.export import dh_text, ur_kinematics_text, urdf_text, ze
 from casacal.deployment.functions import c_text
 from casacal.deployment.result_file import read_result
 from casacal.files import write_json
+from casacal.model.dh_file import read_dh_file
 from casacal.model.new import new_from_dh, new_from_urdf
 from casacal.model.urdf import read_urdf
 
@@ -546,8 +547,8 @@ def test_parallel_axes_never_give_absurd_lengths(place, calibrated, tmp_path, na
         return
     source = place / ("ur5.csv" if name == "ur5" else "puma.toml")
     text = dh_text(result, toml=source.suffix == ".toml")
-    table = casacal.model.dh_table.read_dh_file(_written(tmp_path / source.name, text))
-    began = casacal.model.dh_table.read_dh_file(source)
+    table = read_dh_file(_written(tmp_path / source.name, text))
+    began = read_dh_file(source)
     for key in ("a", "d"):
         assert np.abs(np.subtract(getattr(table, key), getattr(began, key))).max() < reach
     frames = dh_pose(numbers(result), np.zeros(6), parallel)[1]

@@ -431,8 +431,9 @@ scheduler = subprocess.Popen([sys.executable, "-m", "distributed.cli.dask_schedu
                               "0", "--no-dashboard", "--scheduler-file", sys.argv[2] + "/s.json"],
                              stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 import json, os, time
-while not os.path.exists(sys.argv[2] + "/s.json"):
+while not (os.path.exists(sys.argv[2] + "/s.json") and os.path.getsize(sys.argv[2] + "/s.json")):
     time.sleep(0.05)
+time.sleep(0.2)  # it is written in one piece, and not at one time
 address = json.load(open(sys.argv[2] + "/s.json"))["address"]
 import threading
 threading.Timer(3.0, scheduler.kill).start()  # no worker came: its tasks wait
