@@ -366,12 +366,8 @@ def _expected(calibration: Calibration) -> str:
 
 def _against(calibration: Calibration) -> list[tuple[str, str]]:
     """Reasons to refuse a result: for each a clause for the verdict's sentence, and a full sentence."""
-    looks = (
-        certificate_contradicted,
-        held_as_drawn,
-        earlier_contradicted,
-        _out_of_reach,
-    )  # the second may look like wrong samples
+    # what is held as drawn, or certified of another arm, may look like wrong samples
+    looks = (certificate_contradicted, held_as_drawn, earlier_contradicted, _out_of_reach)
     found = [(clause, sentence(clause)) for look in looks if (clause := look(calibration))]
     found += [
         (f"the samples look wrong ({error.about})", sentence(str(error).removeprefix("error: ").removesuffix(".")))
@@ -414,7 +410,7 @@ def certificate_contradicted(calibration: Calibration) -> str:
 
 @dataclass(frozen=True)
 class Certificate:
-    """A certified quantity, what rows and priors say without it, and how many standard deviations off that is."""
+    """A certified quantity in `unit`, what rows and priors say without it, and how many standard deviations off."""
 
     name: str
     value: float

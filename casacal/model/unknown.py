@@ -210,7 +210,7 @@ def check_own_kind(unknown: Unknown, what: str) -> None:
         return
     whose = f"{what}, a {type(unknown).__name__}"
     units = unknown.units
-    if not isinstance(units, tuple) or not units or not all(isinstance(unit, str) for unit in units):
+    if not isinstance(units, tuple) or not all(isinstance(unit, str) for unit in units):
         raise ProblemError(f"The units of {whose}, are {units!r}", 'Give a tuple such as ("mm", "rad")')
     try:
         stds = np.asarray(unknown.prior_stds, dtype=np.float64)

@@ -281,9 +281,14 @@ def _setting(text: str, routines: Mapping[str, Span], places: Sequence[int]) -> 
     """Routines that set a frame, or call one that does."""
     setting = {name for name, (a, b) in routines.items() if any(a <= at < b for at in places)}
     for _ in routines:
-        calls = re.compile(rf"(?i)(?<!\w)(?:{'|'.join(map(re.escape, setting)) or '(?!)'})\s*\(")
-        setting |= {name for name, (a, b) in routines.items() if calls.search(text, text.find("(", a) + 1, b)}
+        setting |= {name for name, (a, b) in routines.items() if _calls(text, text.find("(", a) + 1, b, setting)}
     return setting
+
+
+def _calls(text: str, start: int, end: int, routines: set[str]) -> bool:
+    """Whether some routine is called between two letters."""
+    named = "|".join(map(re.escape, sorted(routines))) or "(?!)"
+    return re.compile(rf"(?i)(?<!\w)(?:{named})\s*\(").search(text, start, end) is not None
 
 
 def _straight(
@@ -300,8 +305,7 @@ def _straight(
     turns = (mark.start() for mark in ways.turns.finditer(text, before, at))
     if any(not any(a < turn < b for a, b in [*closed, *entered]) for turn in turns):
         return False
-    calls = re.compile(rf"(?i)(?<!\w)(?:{'|'.join(map(re.escape, setting)) or '(?!)'})\s*\(")
-    return calls.search(text, before, at) is None
+    return not _calls(text, before, at, setting)
 
 
 def blanked(text: str, pattern: str) -> str:

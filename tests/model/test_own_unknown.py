@@ -164,6 +164,20 @@ def test_a_name_that_does_not_exist_is_named_with_those_that_do():
         _ = Problem(wrong, Slip()).symbols.pose
 
 
+def test_a_kind_of_ones_own_may_be_held_by_its_own_flag(hsr):
+    """Then it has no units."""
+    held = type("Held", (Broken,), {"units": (), "prior_stds": np.zeros(0), "at": lambda self, nominal, local: nominal})
+
+    class Post(Instrument):
+        residual_std = 0.01
+        unknowns = MappingProxyType({"axis": held()})
+
+        def residual(self, pose, p, row):
+            return pose[0, 3] - p.axis[0] - p.axis[1]
+
+    assert Problem(hsr.problem.robot, Post()).instrument.unknowns["axis"].size == 0
+
+
 class Broken(Unknown):
     """An unknown of one's own with one slip."""
 

@@ -21,6 +21,15 @@ def read(tmp_path, text, name="p.script", **options):
     return read_program(tmp_path / name, **options)
 
 
+def refused_or_taken(program, words):
+    """Refused with these words; None where all of it is understood."""
+    if words is None:
+        assert program.puzzles == ()
+        return
+    with pytest.raises(CasacalError, match=words):
+        program.refuse_puzzles()
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -77,11 +86,7 @@ POINT = "LIN {X 10,Y 0,Z 300,A 0,B 90,C 0,S 2,T 10}"
 )
 def test_frames_of_krl_that_depend_on_the_way_are_refused(inside, after, words, tmp_path):
     program = read(tmp_path, KRL % (inside, after), "m.src")
-    if words is None:
-        assert program.puzzles == ()
-        return
-    with pytest.raises(CasacalError, match=words):
-        program.refuse_puzzles()
+    refused_or_taken(program, words)
 
 
 RAPID = """MODULE M
@@ -108,11 +113,7 @@ ENDMODULE
 )
 def test_what_may_change_a_tool_or_target_of_rapid_is_refused(line, words, tmp_path):
     program = read(tmp_path, RAPID % line, "m.mod")
-    if words is None:
-        assert program.puzzles == ()
-        return
-    with pytest.raises(CasacalError, match=words):
-        program.refuse_puzzles()
+    refused_or_taken(program, words)
 
 
 FANUC = """/PROG T
@@ -143,11 +144,7 @@ P[1]{
 )
 def test_frames_and_groups_of_fanuc_that_disagree_are_refused(lines, group, words, tmp_path):
     program = read(tmp_path, FANUC % (lines, group), "t.ls")
-    if words is None:
-        assert program.puzzles == ()
-        return
-    with pytest.raises(CasacalError, match=words):
-        program.refuse_puzzles()
+    refused_or_taken(program, words)
 
 
 def test_a_target_that_is_the_base_of_another_is_not_corrected_twice(tmp_path):
