@@ -37,6 +37,7 @@ ORDER = [
     "shopfloor",
     "doctor",
     "changes",
+    "tablet",
     "cli",
     "__main__",
 ]
@@ -47,6 +48,7 @@ EXTRAS = {
     "data.archives": {"openpyxl"},
     "shopfloor.gauges": {"serial"},
     "cli.completion": {"shtab"},
+    "tablet.server": {"starlette", "uvicorn"},
 }
 """Packages that only some users need, and where they are asked for."""
 GROUND = set(ORDER[: ORDER.index("data")])

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from casacal.deployment.arm import CalibratedArm
     from casacal.model.problem import Problem
     from casacal.model.problem_file import ProblemFile
+    from casacal.model.robot import Robot
     from casacal.planning.candidates import Clearance
     from casacal.programs.program import TaughtProgram
     from casacal.values import Array, Box
@@ -429,3 +430,16 @@ def clearance_of(options: argparse.Namespace, source: ProblemFile | None = None)
         raise CasacalError(f"--link-radius is {radius:g} mm, which no link is", "Give mm: 0.05 m are 50")
     boxes = tuple(box_of(text, option="--keep-out") for text in options.keep_out)
     return Clearance((*boxes, *(() if source is None or source.cell is None else source.cell.keep_out)), radius)
+
+
+def add_joints(parser: argparse.ArgumentParser) -> None:
+    """Add --joints: a controller that is asked where the arm stands."""
+    words = "ask the controller where the arm stands, and only read: rtde:ADDRESS (Universal Robots), rws:ADDRESS (ABB)"
+    add(parser, "--joints KIND:ADDRESS", words)
+
+
+def stands_of(spelled: str, robot: Robot) -> Callable[[], Array]:
+    """Joint values (n,; rad, mm) as the controller that --joints names shows them when it is asked."""
+    from casacal.shopfloor.controllers import controller
+
+    return controller(spelled, robot).standing

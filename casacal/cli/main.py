@@ -22,7 +22,7 @@ from casacal.threads import one_thread_each
 AGAIN = 0.1  # seconds after which an interrupt that ended nothing is raised once more
 GROUPS = {
     "describe the arm": ("new", "doctor"),
-    "plan and measure": ("plan", "measure", "check"),
+    "plan and measure": ("plan", "measure", "check", "serve"),
     "calibrate": ("calibrate", "verify", "changed"),
     "use the calibrated arm": ("predict", "compensate", "export"),
     "simulate and compare": ("simulate", "demo", "study", "bench"),

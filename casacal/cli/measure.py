@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
 import os
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from casacal.cli import common
@@ -21,8 +18,9 @@ from casacal.errors import CasacalError
 if TYPE_CHECKING:
     from casacal.model.problem_file import ProblemFile
     from casacal.shopfloor.gauges import Entry, Gauge, SerialLine
+    from casacal.shopfloor.recording import Recording
     from casacal.shopfloor.session import Session
-    from casacal.shopfloor.touch import TouchFile
+    from casacal.values import Array
 
 HELP = "take touches at the machine, each judged at once"
 
@@ -46,6 +44,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     common.add_where(parser)
     add(parser, "--best-first", "choose the touch that lowers the tip error most, not the next on the planned way")
     common.add_clearance(parser)
+    add_gauge(parser)
+    common.add_joints(parser)
+
+
+def add_gauge(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a gauge on a serial line."""
     add(parser, "--serial PORT", "where a gauge is connected, such as COM3 or /dev/ttyUSB0")
     add(parser, "--gauge NAME", "digimatic, sylvac or plain; default: plain", default="plain")
     add(parser, "--pattern REGEX", "what the gauge sends, with (?P<value>...) around the number")
@@ -58,106 +62,93 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Hold a session; returns 0, or 1 where a tolerance is not met."""
     from casacal.model.problem_file import load_problem
-    from casacal.planning.candidates import hindered
     from casacal.shopfloor.gauges import SerialLine, gauge
 
     source = common.of_instrument(load_problem(options.problem), options.instrument)
     common.spare([options.out], *(file.path for file in source.files), options.plan, options.targets, own=True)
     meter = gauge(options.gauge, pattern=options.pattern, unit=options.unit, asks=options.ask)
-    session, file = _begun(source if options.table is None else common.in_cell(source, options), options)
-    assert session.plan is not None
-    clearance = common.clearance_of(options, source)
-    hit = hindered(session.problem, session.plan.samples, common.table_of(source, options), clearance)
+    stands = None if options.joints is None else common.stands_of(options.joints, source.problem.robot)
+    if options.table is not None:
+        source = common.in_cell(source, options)
+    recording = _begun(source, options, meter, stands)
     if options.serial is None:
-        session = _held(session, file, meter, None, hit)
+        _held(recording, None)
     else:
-        with closing(SerialLine(options.serial, baud=options.baud, **_frame(options.frame))) as line:
-            session = _held(session, file, meter, line, hit)
+        with closing(SerialLine(options.serial, baud=options.baud, **frame_of(options.frame))) as line:
+            _held(recording, line)
+    session = recording.session
     return DONE if session.alarm is None and (session.tolerance is None or session.done) else FAILED
 
 
-def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, TouchFile]:
-    from casacal.data.columns import Labels
-    from casacal.planning.route import read_route, refuse_plan_of_another
+def _begun(
+    source: ProblemFile, options: argparse.Namespace, meter: Gauge, stands: Callable[[], Array] | None
+) -> Recording:
+    from casacal.planning.route import read_route
+    from casacal.shopfloor.recording import begun
     from casacal.shopfloor.session import Session
-    from casacal.shopfloor.touch import TouchFile
 
-    layout = source.problem.layout()
-    route = read_route(options.plan, layout)
-    labels = dict(route.samples.labels)
+    layout, labels = source.problem.layout(), dict[str, str]()
+    planned = read_route(options.plan, layout).samples.labels
     for column in layout.labels:  # those of today, such as the session's, which no plan knows
         if column != source.problem.instrument.groups:
             said = options.session
             if said is None:
-                prompt(f"{column} (Enter: {labels[column][0]}): ")
+                prompt(f"{column} (Enter: {planned[column][0]}): ")
                 said = sys.stdin.readline().strip()
-            if said:
-                labels[column] = Labels.alike(said, len(route))
-    route = replace(route, samples=replace(route.samples, labels=labels))
+            labels[column] = said
     box, targets = common.where(options, source)
-    clearance = common.clearance_of(options)
     session = Session(
-        source.problem, route, options.tolerance, box, targets, source.cell, clearance, options.best_first
+        source.problem,
+        None,
+        options.tolerance,
+        box,
+        targets,
+        source.cell,
+        common.clearance_of(options),
+        options.best_first,
     )
-    content = hashlib.sha256(Path(options.plan).read_bytes()).hexdigest()[:12]
-    file = TouchFile(Path(options.out), layout, f"measured by casacal: {source.name}, plan {content}")
-    file.refuse_others()
-    refuse_plan_of_another(options.plan, source.name, common.table_of(source, options))
-    touches, cut = file.read()
-    if cut:
-        say_paragraphs("The last line of the file was cut off; make that touch again")
-    if touches:
-        session = session.resumed(touches)
-        say_paragraphs(f"Going on after {len(touches)} touches of {Path(options.out).as_posix()}")
-    return session, file
+    recording, said = begun(
+        source,
+        options.plan,
+        options.out,
+        meter,
+        table=common.table_of(source, options),
+        clearance=common.clearance_of(options, source),
+        session=session,
+        labels=labels,
+        stands=stands,
+    )
+    say_paragraphs(*said)
+    return recording
 
 
-def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | None, hit: Mapping[int, str]) -> Session:
-    from casacal.shopfloor.conversation import answered, doubt, ended, posture, repeats_last, waiting
+def _held(recording: Recording, line: SerialLine | None) -> None:
+    """Take entries until there is nothing left to touch, or the operator ends."""
+    from casacal.shopfloor.conversation import doubt, ended, posture, waiting
 
-    say_paragraphs(*doubt(session), "h: help; q: end")
-    entered, sizes = _entries(line, meter, reads=bool(file.layout.columns)), file.sizes()
-    again: Entry | None = None  # the last reading once more, about which the operator is asked
+    say_paragraphs(*doubt(recording.session), "h: help; q: end")
+    entered = _entries(line, recording.gauge, reads=bool(recording.file.layout.columns))
     while True:
-        proposed = session.next()
-        if session.alarm is None:
+        session = recording.session
+        proposed = recording.proposed
+        if session.alarm is None and recording.doubled is None:
             if proposed is None:
                 break
             if proposed.number is None and not _further(session):
                 break
-            if there := hit.get(proposed.number or 0):
-                say_paragraphs(f"warning: do not go to the next posture ({there}); s skips it")
-            say_paragraphs(posture(proposed, file.layout))
-        say_paragraphs(waiting(session, proposed, by_gauge=line is not None))
+            if recording.warning is not None:
+                say_paragraphs(f"warning: do not go to the next posture ({recording.warning}); s skips it")
+            say_paragraphs(posture(proposed, recording.file.layout))
+        if recording.doubled is None:
+            say_paragraphs(waiting(session, proposed, by_gauge=line is not None))
         entry = next(entered, None)
         if entry is None:
             break
-        if again is not None and entry.source == "typed" and entry.text.strip().lower() in ("y", "yes"):
-            entry, again = again, None
-        elif entry.source == "sent" and repeats_last(session, entry.text, meter):
-            say_paragraphs(
-                f"The gauge sent {entry.text.strip()}, the reading of the last touch again. Was it read here? y takes "
-                "it; otherwise send another"
-            )
-            again = entry
-            continue
-        again = None
-        if not entry.text.strip() and (file.layout.columns or session.alarm is not None or proposed is None):
-            continue
-        answer = answered(session, proposed, entry.text, meter, sent=entry.source == "sent")
-        if answer.change != "none" and file.sizes() != sizes:
-            what = f"another program changed '{file.path}'"
-            raise CasacalError(what, "End the other session, and go on with this command")
-        if answer.change == "added":
-            file.append(answer.session.touches[-1], len(answer.session))
-        elif answer.change == "changed":
-            file.rewrite(answer.session.touches)
-        session, sizes = answer.session, file.sizes()
+        answer = recording.enter(entry.text, sent=entry.source == "sent")
         say_paragraphs(*answer.said)
         if answer.ended:
             break
-    say_paragraphs(*ended(session))
-    return session
+    say_paragraphs(*ended(recording.session))
 
 
 def _further(session: Session) -> bool:
@@ -214,7 +205,8 @@ def _entries(line: SerialLine | None, meter: Gauge, *, reads: bool) -> Iterator[
         prompt("> ")
 
 
-def _frame(text: str) -> dict[str, Any]:
+def frame_of(text: str) -> dict[str, Any]:
+    """Bits, parity and stop bits of a serial line from 8N1 and the like; raises CasacalError."""
     if len(text) != 3 or text[0] not in "78" or text[1].upper() not in "NEO" or text[2] not in "12":
         raise CasacalError(
             f"--frame {text} is not such as 8N1", "Write bits (7, 8), parity (N, E, O), stop bits (1, 2)"

@@ -1,0 +1,159 @@
+"""A session on disk: each entry is judged and written before the next is taken, at a terminal or on a page."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from casacal.data.columns import Labels
+from casacal.data.samples import WRITTEN
+from casacal.errors import CasacalError
+from casacal.model.problem_file import ProblemFile
+from casacal.planning.candidates import Clearance, hindered
+from casacal.planning.route import Route, read_route, refuse_plan_of_another
+from casacal.shopfloor.conversation import Answer, answered, command_of, repeats_last, touch_of
+from casacal.shopfloor.gauges import Gauge
+from casacal.shopfloor.session import Session
+from casacal.shopfloor.touch import Touch, TouchFile
+from casacal.values import Array
+
+NEAR = 0.05  # degrees or mm by which joint values may differ from the planned ones without a word
+
+
+@dataclass
+class Recording:
+    """A session and the files of its touches, which one program at a time may change.
+
+    gauge: how a reading is written. table: height (mm) that nothing goes below, and clearance: what postures keep clear
+    of, for warnings. stands: gives the joint values (n,; rad, mm) that the controller shows; where it is there, a
+    reading alone is of these, not of the planned ones.
+    """
+
+    session: Session
+    file: TouchFile
+    gauge: Gauge
+    hindered: Mapping[int, str] = field(default_factory=dict)
+    stands: Callable[[], Array] | None = None
+    doubled: str | None = None
+    """The gauge's last line where it repeats the reading before, about which the operator is asked."""
+
+    def __post_init__(self) -> None:
+        self._sizes = self.file.sizes()
+        self._proposed: tuple[Session, Touch | None] | None = None
+
+    @property
+    def proposed(self) -> Touch | None:
+        """The touch to make next; None where enough has been touched. Raises SimulationError as `Session.next`."""
+        if self._proposed is None or self._proposed[0] is not self.session:
+            self._proposed = self.session, self.session.next()
+        return self._proposed[1]
+
+    @property
+    def warning(self) -> str | None:
+        """Why the arm must not go to the proposed posture; None where nothing is in its way."""
+        proposed = self.proposed
+        return None if proposed is None else self.hindered.get(proposed.number or 0)
+
+    def enter(self, line: str, *, sent: bool = False) -> Answer:
+        """Judge a line, typed or sent by the gauge, and write what it changes.
+
+        What cannot be done is said and changes nothing. Raises CasacalError where another program changed the files.
+        """
+        if self.doubled is not None and not sent and line.strip().lower() in ("y", "yes"):
+            line, sent, self.doubled = self.doubled, True, None
+        elif sent and repeats_last(self.session, line, self.gauge):
+            self.doubled = line
+            said = f"The gauge sent {line.strip()}, the reading of the last touch again. Was it read here? y takes it; "
+            return Answer(self.session, (f"{said}otherwise send another",))
+        self.doubled = None
+        proposed = None if self.session.alarm is not None else self.proposed
+        if not line.strip() and (self.file.layout.columns or self.session.alarm is not None or proposed is None):
+            return Answer(self.session, ())
+        try:
+            at, note = self._standing(proposed, line, sent=sent)
+        except CasacalError as error:
+            return Answer(self.session, (str(error),))
+        answer = answered(self.session, at, line, self.gauge, sent=sent)
+        if answer.change != "none" and self.file.sizes() != self._sizes:
+            what = f"another program changed '{self.file.path}'"
+            raise CasacalError(what, "End the other session, and go on with this command")
+        if answer.change == "added":
+            self.file.append(answer.session.touches[-1], len(answer.session))
+        elif answer.change == "changed":
+            self.file.rewrite(answer.session.touches)
+        self.session, self._sizes = answer.session, self.file.sizes()
+        return replace(answer, said=(*note, *answer.said)) if answer.change == "added" else answer
+
+    def _standing(self, proposed: Touch | None, line: str, *, sent: bool) -> tuple[Touch | None, tuple[str, ...]]:
+        """The proposed touch where the controller says that the arm stands, and words where that is elsewhere."""
+        layout = self.file.layout
+        if self.stands is None or proposed is None or (not sent and command_of(line) is not None):
+            return proposed, ()
+        if not sent and touch_of(line, layout, proposed, self.gauge).joints is not proposed.joints:
+            return proposed, ()  # they were typed
+        joints = self.stands()
+        off = np.abs((joints - proposed.joints) * [WRITTEN[kind][1] for kind in layout.joints])
+        worst = int(off.argmax())
+        if off[worst] <= NEAR:
+            return replace(proposed, joints=joints), ()
+        unit = "mm" if layout.joints[worst] == "length" else "degrees"
+        words = (
+            f"taken where the controller shows the arm, up to {off[worst]:.2f} {unit} (joint {worst + 1}) off the plan"
+        )
+        return replace(proposed, joints=joints), (words,)
+
+
+def begun(
+    source: ProblemFile,
+    plan: str | Path,
+    out: str | Path,
+    gauge: Gauge,
+    *,
+    table: float,
+    clearance: Clearance,
+    session: Session | None = None,
+    labels: Mapping[str, str] | None = None,
+    stands: Callable[[], Array] | None = None,
+) -> tuple[Recording, list[str]]:
+    """Begin a recording of a plan's touches, or go on with the one in a file, and sentences on what was found there.
+
+    Args:
+        source: the problem, with one instrument.
+        plan: what `casacal plan` wrote.
+        out: CSV of the touches; those kept to verify go to a file beside it.
+        gauge: how readings are written.
+        table: height that the plan was made for, mm.
+        clearance: what postures of the plan are looked at against.
+        session: one without touches of which tolerance, box, targets and order are taken.
+        labels: of today, by column, such as that of the session, in place of the plan's.
+        stands: joint values as the controller shows them.
+
+    Raises CasacalError for a plan of another problem, and for files of another session.
+
+    """
+    layout = source.problem.layout()
+    route = with_labels(read_route(plan, layout), labels or {})
+    begin = Session(source.problem, cell=source.cell) if session is None else session
+    begin = replace(begin, plan=route)
+    content = hashlib.sha256(Path(plan).read_bytes()).hexdigest()[:12]
+    file = TouchFile(Path(out), layout, f"measured by casacal: {source.name}, plan {content}")
+    file.refuse_others()
+    refuse_plan_of_another(plan, source.name, table)
+    touches, cut = file.read()
+    said = ["The last line of the file was cut off; make that touch again"] if cut else []
+    if touches:
+        begin = begin.resumed(touches)
+        said.append(f"Going on after {len(touches)} touches of {Path(out).as_posix()}")
+    hit = hindered(begin.problem, route.samples, table, clearance)
+    return Recording(begin, file, gauge, hit, stands), said
+
+
+def with_labels(route: Route, labels: Mapping[str, str]) -> Route:
+    """A plan with labels of today (by column, alike for all its touches), which no plan knows."""
+    there = dict(route.samples.labels)
+    there |= {column: Labels.alike(label, len(route)) for column, label in labels.items() if label}
+    return replace(route, samples=replace(route.samples, labels=there))

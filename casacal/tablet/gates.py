@@ -1,0 +1,244 @@
+"""The seven gates of the page as data: what each shows, whether it is passed, what is missing and what it is for."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from casacal.data.samples import WRITTEN
+from casacal.errors import SimulationError
+from casacal.model.instrument import readings_within
+from casacal.model.problem_text import FILL_IN
+from casacal.planning.candidates import cell_of
+from casacal.planning.route import joints_shown
+from casacal.planning.scene import scene
+from casacal.shopfloor.conversation import doubt, ended, help_words, in_units, waiting
+from casacal.shopfloor.recording import Recording
+from casacal.shopfloor.session import Session
+from casacal.shopfloor.touch import SHOWN, Touch, rows_of
+from casacal.simulation.cell import Cell
+from casacal.tablet.work import ORIENTATIONS, Work
+from casacal.wording import counted, figures
+
+PASSED, OPEN, AHEAD = "passed", "open", "ahead"
+"""What a gate may be: done; to be done; not possible before another one."""
+ENOUGH_ROWS = 4  # of a pendant
+PURPOSES = {"fit": "", "again": "once more", "check": "kept to verify"}
+
+
+def document(work: Work) -> dict[str, Any]:
+    """Everything that a window shows, in JSON's own types; `version` names this state."""
+    with work.lock:
+        problem, layout = work.source.problem, work.source.problem.layout()
+        gates = {
+            "cell": _cell(work),
+            "conventions": _conventions(work),
+            "plan": _plan(work),
+            "measure": _measure(work),
+            "decide": _decide(work),
+            "verify": _verify(work),
+            "hand_over": _hand_over(work),
+        }
+        for name, gate in gates.items():
+            gate |= {"said": list(work.said.get(name, ())), "failed": work.failed.get(name, False)}
+        return {
+            "version": work.version,
+            "job": work.job,
+            "name": work.source.name,
+            "robot": problem.robot.name,
+            "joints": [f"q{k}{WRITTEN[kind][0].replace('_', ' ')}" for k, kind in enumerate(layout.joints, 1)],
+            "files": [name for name, path in files(work).items() if path.is_file()],
+            "gates": gates,
+        }
+
+
+def files(work: Work) -> dict[str, Any]:
+    """Files that a window may fetch, by the name in their address; some may not be there yet."""
+    place = work.place
+    return {
+        "plan.csv": place.plan_file,
+        "sheet.html": place.folder / "sheet.html",
+        "samples.csv": place.samples,
+        "samples_check.csv": place.samples.with_name("samples_check.csv"),
+        "report.html": place.fit / "report.html",
+        "result.json": place.fit / "result.json",
+        "parameters.csv": place.fit / "parameters.csv",
+        "verified.html": place.folder / "verified.html",
+    }
+
+
+def _cell(work: Work) -> dict[str, Any]:
+    problem, probe = work.source.problem, work.source.problem.instrument.probe
+    still = cell_of(problem, work.source.cell)
+    marked = sum(file.text.count(FILL_IN) for file in work.source.files)
+    facts = [["Arm", f"{problem.robot.name}, {counted(len(problem.robot.axes), 'joint')}"]]
+    facts.append(["Instrument", f"{problem.names[0]}; read: {in_units(problem.layout()) or 'nothing, it touches'}"])
+    if probe is not None and probe.column is not None:
+        low, high = readings_within(probe.travel)
+        facts.append(["Travel of the dial", f"{low:g} to {high:g} mm"])
+    facts.append(["Table", f"z = {still.table:g} mm" if math.isfinite(still.table) else "not said"])
+    for face in still.faces if isinstance(still, Cell) else ():
+        (x, y, z), (u, v, w), (wide, deep) = face.centre, face.axes[0], face.size
+        place = f"centre ({x:.0f}, {y:.0f}, {z:.0f}) mm, normal ({u:.2f}, {v:.2f}, {w:.2f}), {wide:.0f} x {deep:.0f} mm"
+        facts.append([f"Face {face.label}", place])
+    lines = "1 line" if marked == 1 else f"{marked} lines"
+    missing = (
+        f"{lines} of the problem file are marked {FILL_IN}: what stands there is assumed, and the fit relies on it"
+    )
+    return {"state": OPEN if marked else PASSED, "missing": missing if marked else "", "facts": facts}
+
+
+def _conventions(work: Work) -> dict[str, Any]:
+    missing = (
+        f"{ENOUGH_ROWS} poses off the pendant tell whether its joints count as the problem says. An arm whose joints "
+        "count the other way can fit every touch and be a mirror image"
+    )
+    confirmed = work.source.confirmed
+    return {
+        "state": PASSED if confirmed else OPEN,
+        "missing": "" if confirmed else missing,
+        "forms": list(ORIENTATIONS),
+    }
+
+
+def _plan(work: Work) -> dict[str, Any]:
+    plan = None if work.recording is None else work.recording.session.plan
+    missing = "The touches to make, and in which order: without a plan nobody knows which postures tell something"
+    if plan is None:
+        return {"state": OPEN, "missing": missing, "touches": [], "notes": [], "fixed": False}
+    touches = [
+        {"number": k, "where": ", ".join(plan.samples.labels[name][k - 1] for name in plan.samples.labels)}
+        | {"purpose": PURPOSES[purpose]}
+        for k, purpose in enumerate(plan.purposes, 1)
+    ]
+    text = work.place.plan_file.read_text(encoding="utf-8", errors="replace")
+    notes = [line.removeprefix("#").strip() for line in text.splitlines() if line.startswith("#")]
+    fixed = work.place.plan is not None or len(work.recording.session) > 0  # type: ignore[union-attr]
+    return {"state": PASSED, "missing": "", "touches": touches, "notes": notes, "fixed": fixed}
+
+
+def _measure(work: Work) -> dict[str, Any]:
+    recording = work.recording
+    if recording is None:
+        return {"state": AHEAD, "missing": "A plan: it says where to touch"}
+    session = recording.session
+    left = sum(touch.number is not None for touch in session.touches)
+    planned = 0 if session.plan is None else len(session.plan)
+    found: dict[str, Any] = {
+        "made": len(session),
+        "planned": planned,
+        "doubled": recording.doubled is not None,
+        "doubt": _doubt(session),
+        "curve": [[count, error] for count, error in work.errors],
+        "error": None if session.tip_error is None else figures(session.tip_error),
+        "below": None if session.tip_error_below is None else figures(session.tip_error_below),
+        "tolerance": session.tolerance,
+        "touches": [_made(session, k) for k in range(len(session))],
+        "reads": list(session.problem.layout().columns),
+        "gauge": work.place.gauge.name if work._line is not None else None,
+        "asks": bool(work.place.gauge.asks) and work._line is not None,
+        "controller": work.place.stands is not None,
+        "help": help_words(session.problem),
+    }
+    found |= _next(work, recording)
+    over = found["next"] is None and session.alarm is None
+    found["ended"] = ended(session) if over else []
+    missing = "" if over else f"{max(planned - left, 0)} planned touches: what is not touched is not known"
+    return found | {"state": PASSED if over else OPEN, "missing": missing}
+
+
+def _doubt(session: Session) -> dict[str, Any] | None:
+    """The doubt in words, each explanation with whether it can be accepted, and the touches that they are about."""
+    alarm = session.alarm
+    if alarm is None:
+        return None
+    what, *suspects, _ = doubt(session)
+    can = [each.slip is not None for each in alarm.suspects]
+    return {
+        "what": what.removeprefix("warning: "),
+        "touches": list(dict.fromkeys(session.shown(each.touch) for each in alarm.suspects)),
+        "suspects": [{"words": words.strip(), "can": may} for words, may in zip(suspects, can, strict=True)],
+    }
+
+
+def _made(session: Session, k: int) -> dict[str, Any]:
+    touch, layout = session.touches[k], session.problem.layout()
+    read = [f"{touch.columns[name] * WRITTEN[kind][1]:.{SHOWN}f}" for name, kind in layout.columns.items()]
+    state = "in doubt" if session.alarm is not None and session.alarm.touch == k else ""
+    return {
+        "number": session.shown(k),
+        "where": ", ".join(touch.labels.values()),
+        "read": " ".join(read),
+        "purpose": PURPOSES[touch.purpose],
+        "state": state or ("kept as it is" if touch.kept else "waits" if k in session.waiting else ""),
+    }
+
+
+def _next(work: Work, recording: Recording) -> dict[str, Any]:
+    """The posture to go to, and what is waited for."""
+    session, layout = recording.session, recording.file.layout
+    try:
+        proposed = recording.proposed if session.alarm is None else None
+    except SimulationError as error:
+        return {"next": None, "waiting": str(error)}
+    words = waiting(session, proposed, by_gauge=work._line is not None)
+    if proposed is None:
+        return {"next": None, "waiting": words if session.alarm is not None else ""}
+    expected = [
+        f"{name} about {proposed.columns[name] * WRITTEN[kind][1]:.2f}{WRITTEN[kind][0].replace('_', ' ')}"
+        for name, kind in layout.columns.items()
+    ]
+    found = {
+        "number": proposed.number,
+        "where": ", ".join(proposed.labels[name] for name in layout.labels),
+        "purpose": PURPOSES[proposed.purpose],
+        "joints": joints_shown(proposed.joints, layout),
+        "expected": ", ".join(expected),
+        "warning": recording.warning,
+        "arm": None if proposed.number is not None else _arm(work, proposed),
+    }
+    return {"next": found, "waiting": words}
+
+
+def _arm(work: Work, touch: Touch) -> dict[str, Any]:
+    """A posture that no plan has, in space."""
+    problem = work.source.problem
+    arms: list[dict[str, Any]] = scene(problem, work.source.cell, work.place.clearance, rows_of([touch]))["arms"]
+    return arms[0]
+
+
+def _decide(work: Work) -> dict[str, Any]:
+    if work.recording is None or not len(work.recording.session):
+        return {"state": AHEAD, "missing": "Touches: the calibration is made from them"}
+    if work.arm is None or work.arm.found.verdict is None:
+        return {"state": OPEN, "missing": "The calibration: it says what the touches tell, and whether to use it"}
+    verdict = work.arm.found.verdict
+    missing = "Touches were made after this calibration: calibrate again" if work.outdated else ""
+    return {
+        "state": OPEN if missing or verdict.level == "do not use" else PASSED,
+        "missing": missing,
+        "level": verdict.level,
+        "words": verdict.words,
+        "reasons": list(verdict.reasons),
+        "mirror": work.arm.mirror_words,
+    }
+
+
+def _verify(work: Work) -> dict[str, Any]:
+    if work.arm is None:
+        return {"state": AHEAD, "missing": "A calibration: it is judged by touches that it has not seen"}
+    if work.kept_promise is None:
+        missing = "The touches that were kept: whether the promise holds where nothing was fitted"
+        return {"state": OPEN, "missing": missing}
+    missing = "" if work.kept_promise else "The promise was not kept, or the tolerance not met: see what to do next"
+    return {"state": PASSED if work.kept_promise else OPEN, "missing": missing}
+
+
+def _hand_over(work: Work) -> dict[str, Any]:
+    if work.arm is None:
+        return {"state": AHEAD, "missing": "A calibration: targets are corrected by it"}
+    if work.arm.denial is not None:
+        return {"state": AHEAD, "missing": f"A calibration that may be used. {work.arm.denial}"}
+    unverified = work.kept_promise is not True
+    missing = "Not verified yet: targets can be corrected, and nobody has checked them" if unverified else ""
+    return {"state": OPEN, "missing": missing, "caution": work.arm.caution}

@@ -1,0 +1,251 @@
+"""The page over HTTP: one address, one token, nothing that a browser elsewhere could use.
+
+Starlette routes and uvicorn serves: a small, well-kept pair that answers in threads and streams events. The first visit
+brings the token in the address; from then on a cookie holds it, which no script and no other site can use. Requests
+must name this machine as their host, so that no name of somebody else's leads here (DNS rebinding), and steps must come
+from a page of this origin. The client names no path and no code: only steps, texts, numbers, and files by fixed names.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import json
+import secrets
+import socket
+from collections.abc import AsyncIterator, Mapping
+from importlib import resources
+from ipaddress import ip_address
+from typing import Any
+
+from casacal.errors import CasacalError, RefusedResultError
+from casacal.tablet.gates import document, files
+from casacal.tablet.work import OutdatedError, Work
+
+try:
+    import uvicorn
+    from starlette.applications import Starlette
+    from starlette.concurrency import run_in_threadpool
+    from starlette.requests import Request
+    from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response, StreamingResponse
+    from starlette.routing import Route
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+except ImportError:
+    raise CasacalError("Starlette and uvicorn are not installed", "Install them: pip install 'casacal[page]'") from None
+
+LARGEST = 4 << 20  # bytes of a request: a robot program, in base64
+STATIC = {
+    "page.css": "text/css",
+    "page.js": "text/javascript",
+    "space.js": "text/javascript",
+    "three.module.min.js": "text/javascript",
+}
+TICK, BEAT = 0.1, 15.0  # seconds between two looks for a change, and between two signs of life to a window
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
+    "frame-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+)
+FILES_POLICY = (
+    "sandbox allow-scripts; default-src 'none'; style-src 'unsafe-inline'; img-src data:; "
+    "script-src 'unsafe-inline' blob:; frame-ancestors 'self'"
+)
+"""Reports are shown in a frame of the page, with their own style and script, and as if from nowhere."""
+HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+
+
+class Door:
+    """Lets in who has the token, by its cookie or once in the address, and came to this machine by its own name."""
+
+    def __init__(self, app: ASGIApp, token: str, cookie: str) -> None:
+        self.app, self.token, self.cookie = app, token, cookie
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request, or hand it on to the page."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        request = Request(scope)
+        refused = self._refused(request)
+        if refused is not None:
+            await refused(scope, receive, send)
+            return
+
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                there = {key.lower() for key, _ in message["headers"]}
+                more = {**HEADERS, "Content-Security-Policy": POLICY}
+                added = [(k.lower().encode(), v.encode()) for k, v in more.items() if k.lower().encode() not in there]
+                message = {**message, "headers": [*message["headers"], *added]}
+            await send(message)
+
+        await self.app(scope, receive, with_headers)
+
+    def _refused(self, request: Request) -> Response | None:
+        """An answer to who is not let in, and the way on for who has just shown the token; None for others."""
+        if not is_this_machine(request.headers.get("host", "")):
+            return PlainTextResponse("This page is reached by the address that casacal serve printed.\n", 421)
+        shown = request.query_params.get("token")
+        if shown is not None and request.url.path == "/" and request.method == "GET":
+            if not _same(shown, self.token):
+                return PlainTextResponse("The token in the address is not the one that was printed.\n", 403)
+            welcome = RedirectResponse("/", 303, headers=HEADERS)
+            welcome.set_cookie(self.cookie, self.token, httponly=True, samesite="strict", path="/")
+            return welcome
+        if not _same(request.cookies.get(self.cookie, ""), self.token):
+            return PlainTextResponse("Open the address that casacal serve printed, with its token.\n", 403)
+        origin = request.headers.get("origin")
+        if request.method != "GET" and (origin is None or origin.partition("://")[2] != request.headers.get("host")):
+            return PlainTextResponse("A step must come from the page itself.\n", 403)
+        return None
+
+
+def is_this_machine(host: str) -> bool:
+    """Whether a Host header names this machine: an address in numbers, localhost, or the machine's own name."""
+    name = host.rpartition("]")[0].removeprefix("[") if host.startswith("[") else host.partition(":")[0]
+    own = socket.gethostname().lower()
+    if name.lower() in ("localhost", own, f"{own}.local"):
+        return True
+    try:
+        ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _same(one: str, two: str) -> bool:
+    return hmac.compare_digest(one.encode(), two.encode())
+
+
+class Pages:
+    """What the page of some work answers to each address."""
+
+    def __init__(self, work: Work) -> None:
+        self.work = work
+
+    async def page(self, _: Request) -> Response:
+        """The page itself, which asks for all else."""
+        return Response(static("page.html"), media_type="text/html")
+
+    async def asset(self, request: Request) -> Response:
+        """A style or a script."""
+        name = request.path_params["name"]
+        if name not in STATIC:
+            return PlainTextResponse("There is no such file.\n", 404)
+        return Response(static(name), media_type=STATIC[name])
+
+    def state(self, _: Request) -> Response:
+        """All that is shown."""
+        return JSONResponse(document(self.work))
+
+    def space(self, _: Request) -> Response:
+        """The cell and the planned postures in space."""
+        return JSONResponse(self.work.space())
+
+    def stands(self, _: Request) -> Response:
+        """Where the controller shows the arm."""
+        return JSONResponse(self.work.stands())
+
+    def file(self, request: Request) -> Response:
+        """A file by its name: pages to be shown, others to be kept."""
+        name = request.path_params["name"]
+        path = files(self.work).get(name)
+        if path is None or not path.is_file():
+            return PlainTextResponse("There is no such file yet.\n", 404)
+        kind = {"html": "text/html", "json": "application/json"}.get(name.rpartition(".")[2], "text/csv")
+        headers = {"Content-Security-Policy": FILES_POLICY}
+        if kind != "text/html":
+            headers["Content-Disposition"] = f'attachment; filename="{name}"'
+        return Response(path.read_bytes(), media_type=kind, headers=headers)
+
+    async def step(self, request: Request) -> Response:
+        """Take a step: the new state, or a sentence on why it was not taken."""
+        body = b""
+        async for part in request.stream():
+            body += part
+            if len(body) > LARGEST:
+                return answer(413, f"More than {LARGEST >> 20} MB came. Choose a smaller file.")
+        try:
+            asked = json.loads(body)
+            name = asked["step"]
+        except (ValueError, KeyError, TypeError, RecursionError):
+            return answer(400, "What came is no step. Load the page again.")
+        try:
+            found = await run_in_threadpool(self.work.do, name if isinstance(name, str) else "", asked)
+            return JSONResponse(found | {"state": await run_in_threadpool(document, self.work)})
+        except OutdatedError as error:
+            return answer(409, str(error))
+        except RefusedResultError as error:
+            return answer(403, str(error))
+        except CasacalError as error:
+            return answer(400, str(error))
+
+    async def events(self, request: Request) -> Response:
+        """The version of the state, each time that it changes."""
+
+        async def changes() -> AsyncIterator[str]:
+            last, silent = -1, 0.0
+            while not await request.is_disconnected():
+                silent += TICK
+                if self.work.version != last or silent > BEAT:
+                    last, silent = self.work.version, 0.0
+                    yield f"data: {last}\n\n"
+                await asyncio.sleep(TICK)
+
+        return StreamingResponse(changes(), media_type="text/event-stream")
+
+
+def application(work: Work, *, token: str, cookie: str = "casacal") -> ASGIApp:
+    """The page of some work, as an ASGI application; token: what opens it, cookie: the name under which it is kept."""
+    pages = Pages(work)
+    routes = [
+        Route("/", pages.page),
+        Route("/static/{name}", pages.asset),
+        Route("/state", pages.state),
+        Route("/space", pages.space),
+        Route("/stands", pages.stands),
+        Route("/file/{name}", pages.file),
+        Route("/events", pages.events),
+        Route("/step", pages.step, methods=["POST"]),
+    ]
+    return Door(Starlette(routes=routes), token, cookie)
+
+
+def answer(status: int, words: str) -> Response:
+    """A refusal in a sentence."""
+    return JSONResponse({"error": words}, status)
+
+
+def static(name: str) -> bytes:
+    """A file of the page as it is shipped."""
+    return (resources.files("casacal.tablet") / "static" / name).read_bytes()
+
+
+def listening(host: str, port: int) -> socket.socket:
+    """A socket at an address of this machine, 0 for any free port; raises CasacalError where it is taken."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    place = socket.socket(family, socket.SOCK_STREAM)
+    place.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        place.bind((host, port))
+    except (OSError, OverflowError) as error:
+        place.close()
+        what = f"Nothing can be served at {host}, port {port} ({getattr(error, 'strerror', None) or error})"
+        raise CasacalError(what, "Name another --port or --host") from None
+    return place
+
+
+def new_token() -> str:
+    """A token that nobody guesses: 128 random bits."""
+    return secrets.token_urlsafe(16)
+
+
+def server(work: Work, token: str, port: int) -> uvicorn.Server:
+    """A server of the page, to be run on a socket of `listening`."""
+    app = application(work, token=token, cookie=f"casacal_{port}")
+    settings: Mapping[str, Any] = {"log_level": "error", "timeout_graceful_shutdown": 1, "server_header": False}
+    return uvicorn.Server(uvicorn.Config(app, **settings))

@@ -1,0 +1,94 @@
+"""Joint values off a controller: protocols played on loopback, and every way in which they go wrong."""
+
+import math
+
+import pytest
+from conftest import ROOT
+from played_controllers import PlayedArm, rtde_controller, rws_controller
+
+from casacal import CasacalError, load_problem
+from casacal.shopfloor.controllers import controller
+
+Q = [0.1, -1.2, 1.3, -0.4, 1.5, -3.1]
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return load_problem(ROOT / "problems" / "ur5").problem.robot
+
+
+@pytest.mark.parametrize(("kind", "played"), [("rtde", rtde_controller), ("rws", rws_controller)])
+def test_joint_values_are_those_that_the_controller_shows(robot, kind, played):
+    with played(PlayedArm(Q)) as address:
+        asked = controller(f"{kind}:{address}", robot)
+        assert asked.joints() == pytest.approx(Q, abs=1e-8)
+        for _ in range(5):  # more looks than the controller has sessions
+            assert asked.standing() == pytest.approx(Q, abs=1e-8)
+
+
+@pytest.mark.parametrize(("kind", "played"), [("rtde", rtde_controller), ("rws", rws_controller)])
+def test_a_moving_arm_and_a_lost_link_are_said(robot, kind, played):
+    arm = PlayedArm(Q, drift=math.radians(0.05))
+    with played(arm) as address:
+        asked = controller(f"{kind}:{address}", robot)
+        with pytest.raises(CasacalError, match="The arm is moving"):
+            asked.standing()
+        arm.drift = math.radians(0.001)
+        asked.standing()
+    with pytest.raises(CasacalError, match="gives no joint values"):
+        asked.standing()
+
+
+@pytest.mark.parametrize(
+    "says",
+    [b"", b"HTTP/1.1 400 Bad Request\r\n\r\n", b"\x00\x04V\x00", b"\x00\x04V\x01\x00\x0dO\x07NOT_FOUND", b"\x00\x01"],
+)
+def test_what_is_no_rtde_is_no_joint_value(robot, says):
+    with (
+        rtde_controller(PlayedArm(Q, says=says)) as address,
+        pytest.raises(CasacalError, match="gives no joint values"),
+    ):
+        controller(f"rtde:{address}", robot).joints()
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_joint_values_that_are_none_are_refused(robot, value):
+    with rtde_controller(PlayedArm([*Q[:5], value])) as address, pytest.raises(CasacalError, match="not finite"):
+        controller(f"rtde:{address}", robot).joints()
+
+
+def test_user_unit_and_password_of_rws(robot):
+    with rws_controller(PlayedArm(Q), user="cell", password="s3cret", unit="ROB_2") as address:
+        asked = controller(f"rws:cell:s3cret@{address}/ROB_2", robot)
+        assert asked.joints() == pytest.approx(Q, abs=1e-8)
+        assert "s3cret" not in asked.name  # no sentence shows it
+        with pytest.raises(CasacalError, match="gives no joint values") as caught:
+            controller(f"rws:cell:wrong@{address}/ROB_2", robot).joints()
+        assert "wrong" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("spelled", "words"),
+    [
+        ("fanuc:10.0.0.1", "names no controller"),
+        ("rtde:", "names no controller"),
+        ("10.0.0.1", "names no controller"),
+        ("rtde:10.0.0.1:x", "no address"),
+        ("rtde:10.0.0.1:99999", "no address"),
+        ("rws:ftp://10.0.0.1", "not how a controller is asked"),
+        ("rws:a b", "no address"),
+    ],
+)
+def test_addresses_that_are_none(robot, spelled, words):
+    with pytest.raises(CasacalError, match=words):
+        controller(spelled, robot)
+
+
+def test_an_arm_of_other_joints_is_refused():
+    robot = load_problem(ROOT / "problems" / "adept_cobra600").problem.robot
+    with pytest.raises(CasacalError, match="six turning joints"):
+        controller("rtde:127.0.0.1", robot)
+
+
+def test_the_name_is_the_address_alone(robot):
+    assert controller("rtde:192.168.0.10", robot).name == "192.168.0.10"

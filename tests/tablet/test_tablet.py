@@ -1,0 +1,448 @@
+"""The page's server and state without a browser: who is let in, steps of several windows, a file that stays right."""
+
+import base64
+import csv
+import json
+import shutil
+import threading
+import time
+import urllib.error
+import urllib.request
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from measured_world import World
+from played_controllers import PlayedArm, rtde_controller
+from scipy.spatial.transform import Rotation
+
+from casacal import CasacalError, calibrate, load_problem, plan
+from casacal.cli.main import main
+from casacal.planning import read_route
+from casacal.planning.candidates import Clearance
+from casacal.planning.plan import write_plan
+from casacal.planning.scene import scene
+from casacal.shopfloor.controllers import controller
+from casacal.shopfloor.gauges import gauge
+from casacal.tablet.gates import document
+from casacal.tablet.server import is_this_machine, listening, server
+from casacal.tablet.work import OutdatedError, Work, Workplace, number_of, pendant_table, uploaded
+
+PLAIN = gauge("plain")
+TOKEN = "a-token-of-this-test"
+
+
+@pytest.fixture(scope="module")
+def planned(hsr, tmp_path_factory):
+    """A plan of 36 touches on disk, and the arm that answers."""
+    folder = tmp_path_factory.mktemp("plan")
+    made = plan(hsr.problem, hsr.cell, touches=36, pool=300, starts=1, seed=8)
+    write_plan(folder / "plan.csv", made, hsr.problem, hsr.name)
+    route = read_route(folder / "plan.csv", hsr.problem.layout())
+    return folder / "plan.csv", World(hsr.problem, route, seed=6)
+
+
+@pytest.fixture
+def workplace(hsr, planned, tmp_path):
+    return Workplace(hsr, tmp_path / "work", PLAIN, 0.0, Clearance(), plan=planned[0])
+
+
+def enter(work, line):
+    work.do("enter", {"version": work.version, "line": line})
+
+
+def well_made(world, number, off=0.0):
+    """A line with all joint values and the reading of a touch of the plan."""
+    joints, reading, _ = world.touch(number)
+    return " ".join([*(f"{value:.4f}" for value in np.degrees(joints)), f"{reading + off:.3f}"])
+
+
+def wait(work):
+    for _ in range(1200):
+        if work.job is None:
+            return
+        time.sleep(0.05)
+    raise AssertionError(f"still at work: {work.job}")
+
+
+@contextmanager
+def served(work):
+    """The address of a page, with its token's cookie."""
+    place = listening("127.0.0.1", 0)
+    port = place.getsockname()[1]
+    running = server(work, TOKEN, port)
+    thread = threading.Thread(target=running.run, kwargs={"sockets": [place]}, daemon=True)
+    thread.start()
+    while not running.started:
+        time.sleep(0.01)
+    yield f"127.0.0.1:{port}", f"casacal_{port}={TOKEN}"
+    running.should_exit = True
+    thread.join(10)
+    place.close()
+
+
+class NoRedirect(urllib.request.HTTPRedirectHandler):
+    def redirect_request(self, *_):
+        return None
+
+
+OPENER = urllib.request.build_opener(urllib.request.ProxyHandler({}), NoRedirect)
+
+
+def ask(host, path, *, body=None, **headers):
+    """Status, headers and text of an answer."""
+    headers = {name.replace("_", "-"): value for name, value in headers.items()}
+    request = urllib.request.Request(f"http://{host}{path}", body, headers)
+    try:
+        with OPENER.open(request, timeout=20) as reply:
+            return reply.status, reply.headers, reply.read().decode()
+    except urllib.error.HTTPError as refused:
+        with refused:
+            return refused.code, refused.headers, refused.read().decode()
+
+
+def test_only_who_has_the_token_is_let_in(workplace):
+    with served(Work(workplace)) as (host, cookie):
+        for path in ("/", "/state", "/static/page.js", "/file/plan.csv", "/events", "/nothing"):
+            assert ask(host, path)[0] == 403
+        assert ask(host, "/?token=wrong")[0] == 403
+        assert ask(host, "/state", Cookie=f"{cookie}x")[0] == 403
+        status, headers, _ = ask(host, f"/?token={TOKEN}")
+        assert (status, headers["Location"]) == (303, "/")
+        assert headers["Set-Cookie"].startswith(cookie)
+        assert "HttpOnly" in headers["Set-Cookie"]
+        assert "samesite=strict" in headers["Set-Cookie"].lower()
+        status, headers, text = ask(host, "/", Cookie=cookie)
+        assert status == 200
+        assert "<script" in text
+        assert "unsafe" not in headers["Content-Security-Policy"]  # no script and no style that stands in the page
+        assert "access-control-allow-origin" not in {name.lower() for name in headers}
+        assert TOKEN not in text
+
+
+def test_other_names_and_other_origins_are_refused(workplace):
+    with served(Work(workplace)) as (host, cookie):
+        assert ask(host, "/state", Cookie=cookie, Host="evil.example")[0] == 421
+        assert ask(host, "/state", Cookie=cookie, Host=f"localhost:{host.partition(':')[2]}")[0] == 200
+        body = json.dumps({"step": "enter", "version": 0, "line": "s"}).encode()
+        for origin in ({}, {"Origin": "http://evil.example"}, {"Origin": "null"}):
+            assert ask(host, "/step", body=body, Cookie=cookie, **origin)[0] == 403
+        assert ask(host, "/step", body=body, Cookie=cookie, Origin=f"http://{host}")[0] == 200
+
+
+@pytest.mark.parametrize(
+    ("host", "own"),
+    [
+        ("127.0.0.1:8765", True),
+        ("192.168.1.7", True),
+        ("[::1]:80", True),
+        ("localhost", True),
+        ("evil.example:8765", False),
+        ("127.0.0.1.evil.example", False),
+        ("", False),
+        ("[evil]:1", False),
+    ],
+)
+def test_names_of_this_machine(host, own):
+    assert is_this_machine(host) is own
+
+
+def test_nothing_but_files_by_their_names_is_given_out(workplace):
+    with served(Work(workplace)) as (host, cookie):
+        assert ask(host, "/file/plan.csv", Cookie=cookie)[0] == 200
+        for path in (
+            "/file/result.json",  # not there yet
+            "/file/problem.py",
+            "/file/..%2F..%2Fproblem.py",
+            "/file/../../etc/passwd",
+            "/file/%2Fetc%2Fpasswd",
+            "/static/..%2Fwork.py",
+            "/static/page.html.bak",
+        ):
+            assert ask(host, path, Cookie=cookie)[0] == 404
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "words"),
+    [
+        (b"", 400, "no step"),
+        (b"[1]", 400, "no step"),
+        (b"{", 400, "no step"),
+        (b"[" * 100_000, 400, "no step"),
+        (b'{"step": 3}', 400, "step"),
+        (b'{"step": "rm"}', 400, "enter"),
+        (b'{"step": "enter"}', 409, "changed meanwhile"),
+        (b'{"step": "enter", "version": 0}', 400, "no text"),
+        (b'{"step": "enter", "version": 0, "line": ["1"]}', 400, "no text"),
+        (b'{"step": "correct", "version": 0, "files": "x"}', 400, "no calibration"),
+        (b"x" * (5 << 20), 413, "smaller"),
+    ],
+)
+def test_what_is_no_step_is_refused_in_a_sentence(workplace, body, status, words):
+    work = Work(workplace)
+    with served(work) as (host, cookie):
+        found = ask(host, "/step", body=body, Cookie=cookie, Origin=f"http://{host}")
+    assert found[0] == status
+    assert words in json.loads(found[2])["error"]
+    assert len(work.recording.session) == 0
+
+
+def test_a_hundred_requests_at_once_leave_the_file_right(workplace, planned):
+    """Of those that show one state, one is taken; the others are told so."""
+    work = Work(workplace)
+    with served(work) as (host, cookie):
+        body = {"step": "enter", "version": work.version, "line": well_made(planned[1], 1)}
+        sent = {"body": json.dumps(body).encode(), "Cookie": cookie, "Origin": f"http://{host}"}
+        with ThreadPoolExecutor(25) as pool:
+            found = list(pool.map(lambda _: ask(host, "/step", **sent)[0], range(100)))
+    assert sorted(found) == [200] + [409] * 99
+    assert len(work.recording.session) == 1
+    assert len(workplace.samples.read_text().splitlines() if workplace.samples.exists() else checks(workplace)) == 3
+
+
+def checks(workplace):
+    return workplace.samples.with_name("samples_check.csv").read_text().splitlines()
+
+
+def test_a_window_that_was_overtaken_changes_nothing(workplace, planned):
+    work = Work(workplace)
+    version = work.version
+    enter(work, well_made(planned[1], 1))
+    with pytest.raises(OutdatedError):
+        work.do("enter", {"version": version, "line": "u"})
+    assert len(work.recording.session) == 1
+
+
+def test_page_and_terminal_take_turns_on_one_file(workplace, planned, hsr, tmp_path, monkeypatch, capsys):
+    """Five touches on the page, five at the terminal, and on again; the file is what one session would have written."""
+    path, world = planned
+    work = Work(workplace)
+    for number in range(1, 6):
+        enter(work, well_made(world, number))
+    typed = tmp_path / "typed.txt"
+    typed.write_text("\n".join(well_made(world, number) for number in range(6, 11)) + "\nq\n")
+    command = ["measure", str(ROOT / "problems" / "hsr_jr680"), "--plan", str(path), "--out", str(workplace.samples)]
+    with typed.open() as lines:
+        monkeypatch.setattr("sys.stdin", lines)
+        main(command)
+    assert "Going on after 5 touches" in capsys.readouterr().out
+    with pytest.raises(CasacalError, match="another program changed"):  # which the page has not seen
+        enter(work, well_made(world, 6))
+    again = Work(workplace)
+    enter(again, well_made(world, 11))
+    in_one = Work(replace(workplace, folder=tmp_path / "one"))
+    for number in range(1, 12):
+        enter(in_one, well_made(world, number))
+    assert workplace.samples.read_bytes() == in_one.place.samples.read_bytes()
+    assert again.recording.session.tip_error == pytest.approx(in_one.recording.session.tip_error, rel=1e-6)
+
+
+def test_the_state_after_a_restart_is_that_before(workplace, planned):
+    work = Work(workplace)
+    for number in range(1, 22):
+        enter(work, well_made(planned[1], number, off=3.0 if number == 21 else 0.0))
+    before, after = document(work)["gates"]["measure"], document(Work(workplace))["gates"]["measure"]
+    assert before["doubt"] is not None
+    assert [count for count, _ in after["curve"]] == [count for count, _ in before["curve"]]
+    assert np.array(after["curve"])[:-1] == pytest.approx(np.array(before["curve"])[:-1], rel=1e-3)
+    for name in ("made", "doubt", "touches", "next", "error", "below"):
+        assert after[name] == before[name], name
+
+
+def test_a_doubt_names_touches_and_answers(workplace, planned):
+    work = Work(workplace)
+    for number in range(1, 21):
+        enter(work, well_made(planned[1], number))
+    enter(work, well_made(planned[1], 21, off=3.0))
+    doubt = document(work)["gates"]["measure"]["doubt"]
+    assert 21 in doubt["touches"]
+    assert any(each["can"] for each in doubt["suspects"])
+    enter(work, "1.234")  # no reading is taken before an answer
+    assert len(work.recording.session) == 21
+    enter(work, "u 21")
+    assert document(work)["gates"]["measure"]["doubt"] is None
+    assert document(work)["gates"]["measure"]["next"]["number"] == 21
+
+
+def test_a_row_takes_what_the_arm_really_had(workplace, planned):
+    """The joint values of the controller stand in the file, not those of the plan, which only the posture shows."""
+    joints, reading, _ = planned[1].touch(1)
+    with rtde_controller(PlayedArm(joints + 0.01)) as address:
+        asked = controller(f"rtde:{address}", workplace.source.problem.robot)
+        work = Work(replace(workplace, stands=asked.standing))
+        off = work.stands()["off"]
+        enter(work, f"{reading:.3f}")
+        (touch,) = work.recording.session.touches
+        assert touch.joints == pytest.approx(joints + 0.01, abs=1e-12)
+        assert touch.number == 1
+        wanted = np.degrees(joints + 0.01 - work.recording.session.plan.samples.joints[0])
+        assert [float(each) for each in off] == pytest.approx(wanted, abs=1e-4)
+        enter(work, "u")
+    enter(work, f"{reading:.3f}")  # the link is lost: nothing is taken for true that nobody saw
+    assert len(work.recording.session) == 0
+    assert "gives no joint values" in work.said["measure"][0]
+    enter(work, well_made(planned[1], 1))
+    assert work.recording.session.touches[0].joints == pytest.approx(joints, abs=1e-6)  # which were typed
+
+
+def test_the_whole_way_without_a_browser(hsr, planned, tmp_path):
+    """Plan, touches, calibration, verification and targets, each as its command makes it."""
+    work = Work(Workplace(hsr, tmp_path / "work", PLAIN, 0.0, Clearance()))
+    assert document(work)["gates"]["measure"]["state"] == "ahead"
+    with pytest.raises(CasacalError, match="no plan yet"):
+        enter(work, "1.0")
+    with pytest.raises(CasacalError, match="no touches"):
+        work.do("plan", {"version": work.version, "touches": "many", "tolerance": ""})
+    work.do("plan", {"version": work.version, "touches": "40", "tolerance": ""})
+    with pytest.raises(CasacalError, match="Still at work"):
+        work.do("calibrate", {"version": work.version})
+    wait(work)
+    assert {"plan.csv", "sheet.html"} <= set(document(work)["files"])
+    route = work.recording.session.plan
+    world = World(hsr.problem, route, seed=2)
+    for number in range(1, 41):
+        enter(work, well_made(world, number))
+        while work.recording.session.alarm is not None:
+            enter(work, "k")
+    assert document(work)["gates"]["measure"]["state"] == "passed"
+    work.do("calibrate", {"version": work.version})
+    wait(work)
+    gate = document(work)["gates"]["decide"]
+    command = calibrate(hsr, hsr.problem.read(work.place.samples))
+    assert (gate["level"], gate["words"]) == (command.verdict.level, command.verdict.words)
+    assert not work.outdated
+    work.do("verify", {"version": work.version, "tolerance": ""})
+    wait(work)
+    assert document(work)["gates"]["verify"]["state"] == "passed"
+    targets = "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n10,20,30,-50,-55,-50\n0,10,20,0,30,0\n"
+    sent = [{"name": "C:\\cell\\targets.csv", "data": base64.b64encode(targets.encode()).decode()}]
+    found = work.do("correct", {"version": work.version, "files": sent})
+    data = base64.b64decode(found["files"][0]["data"]).decode()
+    (tmp_path / "targets.csv").write_text(targets)
+    out = tmp_path / "corrected.csv"
+    assert main(["compensate", str(work.place.fit), str(tmp_path / "targets.csv"), "--out", str(out)]) == 0
+    assert rows_of(data) == rows_of(out.read_text())
+    assert "compensate targets.csv" in data  # not the name under which it was kept here
+    with pytest.raises(CasacalError, match="were made"):
+        work.do("plan", {"version": work.version, "touches": "40", "tolerance": ""})
+    enter(work, "u")
+    assert work.outdated
+    with pytest.raises(CasacalError, match="after the calibration"):
+        work.do("correct", {"version": work.version, "files": sent})
+
+
+def rows_of(text):
+    return list(csv.reader(line for line in text.splitlines() if not line.startswith("#")))
+
+
+@pytest.mark.parametrize(
+    ("text", "value"), [("", None), ("  ", None), ("0,25", 0.25), ("0.25", 0.25), ("3", 3.0), ("500", 500.0)]
+)
+def test_numbers_in_fields(text, value):
+    assert number_of({"x": text}, "x", 0, 500) == value
+
+
+@pytest.mark.parametrize("text", ["nan", "inf", "-1", "0", "501", "1e9", "0x10", "a", "1 2"])
+def test_what_is_no_number_of_a_field(text):
+    with pytest.raises(CasacalError, match="is no x"):
+        number_of({"x": text}, "x", 0, 500)
+
+
+def test_pendant_rows_become_columns_with_units():
+    rows = "1;2;3;4;5;6;100;200;300;0.1;0.2;0.3\n\n 1 2 3 4 5 6  100 200 300 0.1 0.2 0.3 \n"
+    table = pendant_table({"form": "rxyz", "rows": rows}, [True] * 5 + [False])
+    assert table.header == (
+        *(f"q{k}_deg" for k in range(1, 6)),
+        "q6_mm",
+        "x_mm",
+        "y_mm",
+        "z_mm",
+        "rx_rad",
+        "ry_rad",
+        "rz_rad",
+    )
+    assert len(table.rows) == 2
+    assert table.lines == (1, 3)
+    for form, text, words in (
+        ("rxyz", "1 2 3", "Line 1 has 3 numbers, not 12"),
+        ("rxyz", "", "Got 0 poses"),
+        ("euler", "1", "euler"),
+    ):
+        with pytest.raises(CasacalError, match=words):
+            pendant_table({"form": form, "rows": text}, [True] * 6)
+
+
+def test_four_poses_confirm_the_conventions_once(hsr, planned, tmp_path):
+    """Poses of the drawn arm pass; with joint 1 counted the other way the page says so and keeps nothing."""
+    folder = tmp_path / "hsr_jr680"
+    shutil.copytree(ROOT / "problems" / "hsr_jr680", folder)
+    source = load_problem(folder)
+    work = Work(Workplace(source, tmp_path / "work", PLAIN, 0.0, Clearance(), plan=planned[0]))
+    rng = np.random.default_rng(3)
+    lines = {1: [], -1: []}
+    for _ in range(5):
+        q = rng.uniform(-0.8, 0.8, 6)
+        pose = np.array(source.problem.robot.traced.at_drawn(q)).astype(float)
+        turn = Rotation.from_matrix(pose[:3, :3]).as_rotvec()
+        for sign, made in lines.items():
+            joints = np.degrees(q) * [sign, 1, 1, 1, 1, 1]
+            made.append(" ".join(f"{value:.6f}" for value in [*joints, *pose[:3, 3], *turn]))
+    work.do("conventions", {"version": work.version, "form": "rxyz", "rows": "\n".join(lines[-1])})
+    assert work.failed["conventions"]
+    assert document(work)["gates"]["conventions"]["state"] == "open"
+    assert not (folder / "conventions.json").exists()
+    work.do("conventions", {"version": work.version, "form": "rxyz", "rows": "\n".join(lines[1])})
+    assert document(work)["gates"]["conventions"]["state"] == "passed"
+    assert load_problem(folder).confirmed
+
+
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        (None, "No file"),
+        ([], "No file"),
+        ([{"name": "x.exe", "data": ""}], "ends in"),
+        ([{"name": "../../x.csv", "data": "not base64!"}], "damaged"),
+        ([{"data": ""}], "no text"),
+        (["x"], "no text"),
+        ([{"name": "x.csv", "data": "A" * 5_000_000}], "at most"),
+    ],
+)
+def test_files_that_are_refused(tmp_path, files, words):
+    with pytest.raises(CasacalError, match=words):
+        uploaded({"files": files}, tmp_path)
+
+
+def test_files_are_kept_under_names_of_ours(tmp_path):
+    sent = [{"name": "/etc/../x.DAT", "data": ""}, {"name": "..\\..\\y.src", "data": ""}]
+    assert uploaded({"files": sent}, tmp_path) == [tmp_path / "targets.src", tmp_path / "targets.dat"]
+
+
+def test_the_picture_in_space_stands_where_the_arm_does(hsr, planned):
+    """Tips lie on their faces within the dial's travel, faces are as large and stand where the cell has them."""
+    route = read_route(planned[0], hsr.problem.layout())
+    found = scene(hsr.problem, hsr.cell, Clearance(), route.samples)
+    assert json.loads(json.dumps(found)) == found
+    assert len(found["arms"]) == len(route)
+    faces = {solid["name"]: solid for solid in found["solids"] if solid["touched"]}
+    for face in hsr.cell.faces:
+        solid = faces[face.label]
+        top = np.array(solid["centre"]) + np.array(solid["axes"][0]) * solid["size"][0] / 2
+        assert top == pytest.approx(np.array(face.centre), abs=0.02)
+    for arm, label in zip(found["arms"], route.samples.labels["plane"], strict=True):
+        face = next(each for each in hsr.cell.faces if each.label == label)
+        off = (np.array(arm["nodes"][-1]) - face.centre) @ face.axes[0]
+        assert abs(off) < 1.0  # the tip at the expected reading is on the drawn face
+        assert np.array(arm["plunger"]) @ face.axes[0] < -0.8  # and comes from outside
+        assert arm["nodes"][0] == [0, 0, 0]
+    assert len(found["radii"]) == len(found["arms"][0]["nodes"]) - 1
+
+
+def test_an_address_that_is_taken_is_a_sentence():
+    with listening("127.0.0.1", 0) as place:
+        place.listen()
+        with pytest.raises(CasacalError, match="Nothing can be served"):
+            listening("127.0.0.1", place.getsockname()[1])
