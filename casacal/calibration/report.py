@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -44,9 +45,11 @@ from casacal.pages.drawing import (
     rendered,
     shortened,
 )
+from casacal.pages.space import space_fold
 from casacal.planning.candidates import Clearance
 from casacal.planning.cell_drawing import CellDrawing
 from casacal.planning.offers import CalibratedCell
+from casacal.planning.scene import scene
 from casacal.simulation.cell import Cell
 from casacal.uncertainty.tip_error import accuracy_in_box, tip_stds, up_to_base, workspace_joints
 from casacal.values import Array, Box
@@ -57,6 +60,7 @@ SHOWN = 10  # rows listed
 LARGE = 4.0  # whitened residual beyond which fewer than one in ten thousand good rows lie
 SQUARES = 24  # squares along the longer side of a view
 MARKED = 240  # touches drawn on the maps, of all faces together
+IN_SPACE = 1500  # points of the map in space
 POSTURES = 8192  # random postures within the joint limits that the map is made of; a multiple of the kernels' block
 TITLES = {"error": "Expected tip error", "correction": "Correction"}
 CAPTIONS = {
@@ -68,6 +72,7 @@ CAPTIONS = {
 }
 LOOKS: Mapping[Level, str] = {"calibrated": "good", "use with care": "care", "do not use": "bad"}
 """How the page paints each level."""
+CONTENTS = "<!-- contents -->"
 LINES = 60  # line numbers that are named
 
 
@@ -165,22 +170,41 @@ def _triple(values: Any, digits: int) -> str:
     return ", ".join(fixed(float(value), digits) for value in values)
 
 
-def cell_as_found(calibration: Calibration) -> Markup | None:
-    """The faces as they were found and touched, with the arm at its first touch; None where none are touched."""
-    bound, x = calibration.fit, calibration.used_x
+def cell_found(calibration: Calibration) -> tuple[CalibratedCell, Cell] | None:
+    """The arm before its faces as they were found, and the cell of these; None where none are touched."""
+    bound, x, own = calibration.fit, calibration.used_x, calibration.source.cell
     try:
         found = CalibratedCell.of(bound, x) if np.isfinite(x).all() else None
     except CasacalError:  # an arm that nobody understands
         return None
-    if found is None:
+    return None if found is None else (found, Cell(faces=found.faces, table=-np.inf if own is None else own.table))
+
+
+def cell_as_found(calibration: Calibration) -> Markup | None:
+    """The faces as they were found and touched, with the arm at its first touch; None where none are touched."""
+    there = cell_found(calibration)
+    if there is None:
         return None
-    samples, own = bound.samples[0], calibration.source.cell
+    (found, cell), samples = there, calibration.fit.samples[0]
     readings = np.zeros(len(samples)) if found.probe.column is None else samples.columns[found.probe.column]
     tips, _ = found.touch.place(found.touch.local, samples.joints, readings[:, None])
-    cell = Cell(faces=found.faces, table=-np.inf if own is None else own.table)
     drawing = CellDrawing.of(Clearance().around(found.problem.robot, cell), samples.joints, tips)
     words = "The arm at its first touch, from the side and from above: faces (yellow) where and as large as they were "
     return None if drawing is None else figure(f"{words}touched, all tips (dots), the table grey.", *drawing.overview())
+
+
+def in_space(calibration: Calibration, workspace: Workspace) -> Markup | None:
+    """The arm at its first touch, the faces as found, and the map of expected errors, in space; None without faces."""
+    there = cell_found(calibration)
+    if there is None:
+        return None
+    found, cell = there
+    scale, rows = Scale.of_sizes(workspace.error), slice(None, None, len(workspace.tips) // IN_SPACE)
+    tips, error = np.round(workspace.tips[rows]), workspace.error[rows]
+    data = scene(found.problem, cell, Clearance(), calibration.fit.samples[0].take([0]))
+    data["map"] = [{"colour": colour, "places": tips[some].tolist()} for colour, some in scale.parts(error)]
+    words = "The arm at its first touch, faces as found, and the expected tip error in colours, dark where it is large."
+    return space_fold("The workspace in space", words, data)
 
 
 def expected_error(each: Sequence[Touches], box: Box | None) -> dict[str, Any]:
@@ -209,7 +233,8 @@ def expected_error(each: Sequence[Touches], box: Box | None) -> dict[str, Any]:
     error = _maps("error", "expected tip error, mm", workspace.error, workspace.tips, marks, box)
     words = "distance of the calibrated from the nominal tip, mm"
     correction = _maps("correction", words, workspace.correction, workspace.tips, marks, box)
-    return {"rows": rows, "moved": moved, "maps": [(TITLES["error"], error), (TITLES["correction"], correction)]}
+    maps = [(TITLES["error"], error), (TITLES["correction"], correction)]
+    return {"rows": rows, "moved": moved, "maps": maps, "space": in_space(calibration, workspace)}
 
 
 def _maps(name: str, words: str, values: Array, tips: Array, marks: Array, box: Box | None) -> Markup:
@@ -282,7 +307,7 @@ class Workspace:
 def report_page(
     calibration: WithVerdict, document: Mapping[str, Any], *, command: str | None = None, box: Box | None = None
 ) -> str:
-    """HTML of the report: one page that needs no other file, no network and no script.
+    """HTML of the report: one page that needs no other file and no network; a script draws one fold when it is opened.
 
     document: its result.json, whose numbers the page shows (`calibration_document`). command: the command line that
     reproduces it, as typed, if there was one. box: where the arm will work, mm in the base frame.
@@ -335,7 +360,10 @@ def report_page(
         "versions": ", ".join(f"{name} {version}" for name, version in closing["versions"].items()),
         "seconds": ", ".join(f"{name} {value:.2f} s" for name, value in closing["seconds"].items()),
     }
-    return rendered("report.html", context)
+    page = rendered("report.html", context)
+    titles = re.findall(r'<h2 id="([\w-]+)-title">(.*?)</h2>', page)  # as escaped as they stand there
+    items = "".join(f'<li><a href="#{name}">{title}</a></li>' for name, title in titles)
+    return page.replace(CONTENTS, f'<nav aria-label="Contents"><ul class="contents">{items}</ul></nav>', 1)
 
 
 def _counts(calibration: Calibration) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from ipaddress import ip_address
 from typing import Any
 
 from casacal.errors import CasacalError, RefusedResultError
+from casacal.pages import space
 from casacal.tablet.gates import document, files
 from casacal.tablet.work import OutdatedError, Work
 
@@ -34,12 +35,9 @@ except ImportError:
     raise CasacalError("Starlette and uvicorn are not installed", "Install them: pip install 'casacal[page]'") from None
 
 LARGEST = 4 << 20  # bytes of a request: a robot program, in base64
-STATIC = {
-    "page.css": "text/css",
-    "page.js": "text/javascript",
-    "space.js": "text/javascript",
-    "three.module.min.js": "text/javascript",
-}
+IN_SPACE = ("space.js", "three.module.min.js")
+"""Scripts that reports have as well."""
+STATIC = {"page.css": "text/css", **dict.fromkeys(("page.js", *IN_SPACE), "text/javascript")}
 TICK, BEAT = 0.1, 15.0  # seconds between two looks for a change, and between two signs of life to a window
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -222,7 +220,9 @@ def answer(status: int, words: str) -> Response:
 
 def static(name: str) -> bytes:
     """A file of the page as it is shipped."""
-    return (resources.files("casacal.tablet") / "static" / name).read_bytes()
+    return (
+        space.static(name) if name in IN_SPACE else (resources.files("casacal.tablet") / "static" / name).read_bytes()
+    )
 
 
 def listening(host: str, port: int) -> socket.socket:

@@ -1,5 +1,8 @@
 """report.html: its numbers are those of result.json, it is valid, refers to nothing outside, and obeys no data."""
 
+import base64
+import gzip
+import html
 import json
 import math
 import re
@@ -23,6 +26,7 @@ from casacal.cli.main import main
 from casacal.data.samples import Samples
 from casacal.kernels.losses import huber
 from casacal.pages.drawing import Panel, Scale, in_squares, nice_ceiling, tag, ticks
+from casacal.pages.space import static
 
 HSR = ROOT / "problems" / "hsr_jr680"
 OPTIONS = ("--holdout", "0.25", "--seed", "1", "--box", "1000:1700,-400:400,400:1000")
@@ -66,18 +70,23 @@ def of(calibration, source, **options):
     return report_page(calibration, calibration_document(calibration, source), **options)
 
 
+FOLD = re.compile(r'<details id="space-fold">.*?</details>', re.S)
+"""The picture in space, the one part of a page with script."""
+
+
 def assert_valid(page):
     """By a validating parser, and by what it does not look at: nesting as written, ids, references."""
     html5lib.HTMLParser(strict=True).parse(page)
+    page = FOLD.sub("", page)
     read = Page(page.partition("\n")[2])
     assert read.faults == []
     assert {name for name, *_ in read.elements} <= {
         *("html", "head", "meta", "title", "style", "body", "main", "header", "section", "h1", "h2", "h3", "p", "ul"),
         *("li", "div", "span", "strong", "code", "pre", "dl", "dt", "dd", "table", "caption", "thead", "tbody", "tr"),
-        *("th", "td", "figure", "figcaption", "svg", "desc", "path", "rect", "text"),
+        *("nav", "a", "th", "td", "figure", "figcaption", "svg", "desc", "path", "rect", "text"),
     }
     for name, attributes, _ in read.elements:
-        assert not REFERENCES & set(attributes), name
+        assert not REFERENCES & set(attributes) or (name == "a" and attributes["href"].startswith("#")), name
         assert not [key for key in attributes if key.startswith("on")], name
     style = next(words for _, words in read.all("style"))
     assert "url(" not in style
@@ -269,6 +278,12 @@ def test_hostile_names_are_text(hostile, tmp_path, capsys):
     faces = [row[0] for row in tables(page)["faces"][1:]]
     assert faces[0] == labels["floor"]
     assert "\u202e" not in page
+    scripts = re.findall(r"<script[^>]*>(.*?)</script>", page, re.S)
+    three, code, data, fold = map(html.unescape, scripts)  # a name that ends one would make more
+    assert gzip.decompress(base64.b64decode(three)) == static("three.module.min.js")
+    assert (code.strip(), fold.strip()) == (static("space.js").decode().strip(), static("fold.js").decode().strip())
+    names = [solid["name"] for solid in json.loads(data)["solids"]]
+    assert labels["floor"] in names
     assert len(faces[2]) <= 60
     assert shlex.split(read.all("pre")[0][1]) == ["casacal", *arguments]
 

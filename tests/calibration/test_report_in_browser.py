@@ -1,12 +1,15 @@
 """report.html in a real browser: nothing fetched, nothing complained of, nothing too wide, and it prints."""
 
 import base64
+import io
 import json
 import re
 import shutil
+import time
 
 import pytest
 from conftest import ROOT
+from PIL import Image
 
 from casacal.cli.main import main
 
@@ -15,12 +18,14 @@ pytestmark = pytest.mark.long
 FLAGS = (
     "--headless",
     "--no-sandbox",
-    "--disable-gpu",
     "--disable-quic",
     "--no-first-run",
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
+    "--enable-unsafe-swiftshader",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
 )
 WIDTHS = {"phone": 390, "desktop": 1280}
 SMALLEST_TEXT = 9.5
@@ -174,3 +179,25 @@ def test_an_arm_is_large_enough_to_be_recognised(browser, report, tmp_path):
         assert len(found) == many
         assert min(each["height"] for each in found) >= least
         assert min(each["width"] for each in found) > 0.3 * least
+
+
+def test_the_fold_draws_the_arm_in_space_without_a_network(browser, report):
+    """Opened, it shows sky, table, faces, arm and map in many colours; nothing is fetched but what it made itself."""
+    browser.get_log("performance")
+    browser.get_log("browser")
+    browser.get(report.as_uri())
+    fold = browser.find_element("css selector", "#space-fold summary")
+    browser.execute_script("arguments[0].scrollIntoView()", fold)
+    fold.click()
+    drawn = "const c = document.getElementById('space-view'); return c.width > 300 && c.dataset.engine || ''"
+    for _ in range(200):
+        if browser.execute_script(drawn):
+            break
+        time.sleep(0.05)
+    assert browser.execute_script(drawn).startswith("three.js")
+    with Image.open(io.BytesIO(browser.find_element("id", "space-view").screenshot_as_png)) as picture:
+        assert len(picture.convert("RGB").quantize(32).getcolors()) > 10
+    messages = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+    asked = [m["params"]["request"]["url"] for m in messages if m["method"] == "Network.requestWillBeSent"]
+    assert {url.partition(":")[0] for url in asked} <= {"file", "blob"}
+    assert browser.get_log("browser") == []

@@ -31,7 +31,7 @@ export class Space {
     this.space = space;
     this.cell.clear();
     const reach = space.reach;
-    this.far = 2.5 * reach;
+    this.far = 2.2 * reach;
     this.centre.set(0.2 * reach, 0, 0.3 * reach);
     if (space.table !== null) {
       const table = new THREE.Mesh(new THREE.CircleGeometry(1.3 * reach, 48), paint(COLOURS.table, 0.55));
@@ -44,6 +44,13 @@ export class Space {
       const [x, y, z] = solid.axes.map((axis) => new THREE.Vector3(...axis));
       shape.applyMatrix4(new THREE.Matrix4().makeBasis(x, y, z).setPosition(...solid.centre));
       this.cell.add(shape);
+    }
+  }
+
+  map(parts) {
+    for (const { colour, places } of parts) {
+      const shape = new THREE.BufferGeometry().setFromPoints(places.map((place) => new THREE.Vector3(...place)));
+      this.cell.add(new THREE.Points(shape, new THREE.PointsMaterial({ color: colour, size: this.space.reach / 32 })));
     }
   }
 
