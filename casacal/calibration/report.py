@@ -360,7 +360,11 @@ def report_page(
         "versions": ", ".join(f"{name} {version}" for name, version in closing["versions"].items()),
         "seconds": ", ".join(f"{name} {value:.2f} s" for name, value in closing["seconds"].items()),
     }
-    page = rendered("report.html", context)
+    return _with_contents(rendered("report.html", context))
+
+
+def _with_contents(page: str) -> str:
+    """A page with links to its sections where its template has a mark for them."""
     titles = re.findall(r'<h2 id="([\w-]+)-title">(.*?)</h2>', page)  # as escaped as they stand there
     items = "".join(f'<li><a href="#{name}">{title}</a></li>' for name, title in titles)
     return page.replace(CONTENTS, f'<nav aria-label="Contents"><ul class="contents">{items}</ul></nav>', 1)

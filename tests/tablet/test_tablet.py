@@ -256,10 +256,12 @@ def test_a_doubt_names_touches_and_answers(workplace, planned):
     work = Work(workplace)
     for number in range(1, 21):
         enter(work, well_made(planned[1], number))
-    enter(work, well_made(planned[1], 21, off=3.0))
+    enter(work, well_made(planned[1], 21, off=4.23))  # what it may be, or nothing that is known
     doubt = document(work)["gates"]["measure"]["doubt"]
     assert 21 in doubt["touches"]
     assert any(each["can"] for each in doubt["suspects"])
+    assert any("no known cause" in each["words"] for each in doubt["suspects"])
+    assert all(each["can"] == ("no known cause" not in each["words"]) for each in doubt["suspects"])
     enter(work, "1.234")  # no reading is taken before an answer
     assert len(work.recording.session) == 21
     enter(work, "u 21")
