@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.deployment.result_file import read_result
     from casacal.model.problem_file import load_problem
     from casacal.shopfloor.gauges import SerialLine, gauge
-    from casacal.tablet.server import listening, new_token, server
+    from casacal.tablet.server import address_of, listening, new_token, server
     from casacal.tablet.work import Work, Workplace
 
     source = common.of_instrument(load_problem(options.problem), options.instrument)
@@ -82,7 +82,8 @@ def run(options: argparse.Namespace) -> int:
         place = open_things.enter_context(closing(listening(options.host, options.port)))
         port, token = place.getsockname()[1], new_token()
         work = Work(workplace, line=line)
-        shown = f"[{options.host}]" if ":" in options.host else options.host
-        say_paragraphs(f"http://{shown}:{port}/?token={token}", f"Files go to {folder.as_posix()}; Ctrl-C ends")
+        say_paragraphs(
+            f"{address_of(options.host, port)}/?token={token}", f"Files go to {folder.as_posix()}; Ctrl-C ends"
+        )
         server(work, token, port).run(sockets=[place])
     return DONE

@@ -239,6 +239,18 @@ def listening(host: str, port: int) -> socket.socket:
     return place
 
 
+def address_of(host: str, port: int) -> str:
+    """The address that a browser opens: of a host that stands for all of this machine, the one in its network."""
+    if host in ("0.0.0.0", "::"):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.connect(("192.0.2.1", 9))  # of nobody (RFC 5737); nothing is sent, a way there is chosen
+                host = probe.getsockname()[0]
+            except OSError:
+                host = socket.gethostname()
+    return f"http://{f'[{host}]' if ':' in host else host}:{port}"
+
+
 def new_token() -> str:
     """A token that nobody guesses: 128 random bits."""
     return secrets.token_urlsafe(16)

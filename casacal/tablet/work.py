@@ -393,7 +393,8 @@ def number_of(asked: Mapping[str, Any], name: str, low: float, high: float) -> f
     except ValueError:
         value = np.nan
     if not (low < value <= high or value == low > 0):  # zero is no number of anything here, three touches are
-        raise CasacalError(f"'{text}' is no {name}", f"Give a number from {low:g} to {high:g}, or leave it empty")
+        what = f"'{text}' is no {'number of touches' if name == 'touches' else name}"
+        raise CasacalError(what, f"Give a number from {low:g} to {high:g}, or leave it empty")
     return value
 
 

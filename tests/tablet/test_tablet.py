@@ -4,6 +4,8 @@ import base64
 import csv
 import json
 import shutil
+import subprocess
+import sys
 import threading
 import time
 import urllib.error
@@ -28,7 +30,7 @@ from casacal.planning.scene import scene
 from casacal.shopfloor.controllers import controller
 from casacal.shopfloor.gauges import gauge
 from casacal.tablet.gates import document
-from casacal.tablet.server import is_this_machine, listening, server
+from casacal.tablet.server import address_of, is_this_machine, listening, server
 from casacal.tablet.work import OutdatedError, Work, Workplace, number_of, pendant_table, uploaded
 
 PLAIN = gauge("plain")
@@ -296,7 +298,7 @@ def test_the_whole_way_without_a_browser(hsr, planned, tmp_path):
     assert document(work)["gates"]["measure"]["state"] == "ahead"
     with pytest.raises(CasacalError, match="no plan yet"):
         enter(work, "1.0")
-    with pytest.raises(CasacalError, match="no touches"):
+    with pytest.raises(CasacalError, match="no number of touches"):
         work.do("plan", {"version": work.version, "touches": "many", "tolerance": ""})
     work.do("plan", {"version": work.version, "touches": "40", "tolerance": ""})
     with pytest.raises(CasacalError, match="Still at work"):
@@ -448,3 +450,44 @@ def test_an_address_that_is_taken_is_a_sentence():
         place.listen()
         with pytest.raises(CasacalError, match="Nothing can be served"):
             listening("127.0.0.1", place.getsockname()[1])
+
+
+def test_the_address_that_is_printed_can_be_opened():
+    assert address_of("127.0.0.1", 1) == "http://127.0.0.1:1"
+    assert address_of("::1", 1) == "http://[::1]:1"
+    everywhere = address_of("0.0.0.0", 1)
+    assert everywhere.startswith("http://")
+    assert "0.0.0.0" not in everywhere
+    assert is_this_machine(everywhere.removeprefix("http://"))
+
+
+def test_without_its_extra_the_command_says_what_to_install(tmp_path):
+    """In a Python that finds no uvicorn, and for options that are none."""
+    code = "import sys; sys.modules['uvicorn'] = None; from casacal.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", code, "serve", str(ROOT / "problems" / "hsr_jr680")]
+    for more, words in (([], "pip install 'casacal[page]'"), (["--port", "99999"], "casacal[page]")):
+        done = subprocess.run([*command, *more], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 2
+        assert words in done.stderr
+        assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--port", "99999"], "65535"),
+        (["--host", "no.such.host.invalid"], "Nothing can be served"),
+        (["--plan", "nothing.csv"], "no such file"),
+        (["--joints", "kuka:1.2.3.4"], "names no controller"),
+        (["--since", "nothing.json"], "nothing.json"),
+        (["--out", "file.txt"], "is no folder"),
+        (["--tolerance", "-1"], "positive"),
+    ],
+)
+def test_options_that_are_none_are_sentences(options, words, planned, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file.txt").write_text("x")
+    with_plan = [] if "--plan" in options else ["--plan", str(planned[0])]
+    assert main(["serve", str(ROOT / "problems" / "hsr_jr680"), "--port", "0", *options, *with_plan]) == 2
+    assert words in capsys.readouterr().err
