@@ -63,6 +63,12 @@ def corner_calibration(hsr: ProblemFile, corner_simulation: Simulation) -> Calib
     return calibrate(hsr, corner_simulation.samples)
 
 
+@pytest.fixture
+def set_ups_of_few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`plan` compares set-ups by a sixth of the candidates, where these figures are not what is asked about."""
+    monkeypatch.setattr("casacal.planning.set_ups.POOL", 100)
+
+
 @pytest.fixture(scope="session")
 def motoman_data() -> Path:
     """Folder of the real contacts; name it in CASACAL_MOTOMAN, or keep it beside the checkout."""

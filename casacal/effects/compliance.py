@@ -222,7 +222,7 @@ class LinkSag(Loaded):
 
     def _links(self, site: Site) -> Links:
         """Links with the stated centres of mass; ProblemError where masses or centres are not one for each joint."""
-        links, count = Links.of(site.robot), len(site.robot.axes)
+        links, count = site.links, len(site.robot.axes)
         for what, values in (("masses", self.masses), ("centres of mass", self.centres)):
             if values and len(values) != count:
                 raise ProblemError(f"Got {len(values)} {what} for {count} joints", "Give one for what each one carries")
@@ -242,8 +242,8 @@ class LinkSag(Loaded):
 
     def _at_flange(self, site: Site) -> ca.Function:
         """Levers of weights that all hang at the flange."""
-        places = np.tile(Links.of(site.robot).places[-1], (len(site.robot.axes), 1))
-        return replace(self._links(site), places=places).levers(np.array(self.down))
+        places = np.tile(site.links.places[-1], (len(site.robot.axes), 1))
+        return replace(site.links, places=places).levers(np.array(self.down))
 
     def _pull(self, site: Site) -> tuple[Rows, float]:
         """Mask (n, links) of moments that are not zero, and flange sag (mm RMS) at a compliance of 1 rad per moment."""

@@ -21,7 +21,7 @@ from casacal.fit.slots import Slot, make_slots, nominals
 from casacal.kernels.backend import VARIABLE
 from casacal.kernels.filter_passes import FilterRows
 from casacal.kernels.losses import Loss
-from casacal.kernels.native_rows import NativeKernels, NativeNormal, PackedPieces
+from casacal.kernels.native_rows import NativeKernels, NativeNormal, PackedPieces, WeightedNormal
 from casacal.model.kinematics import stacked_poses
 from casacal.model.problem import Problem
 from casacal.model.robot import refuse_open
@@ -463,10 +463,17 @@ class BoundProblem(LeastSquares):
         threads = self._threads if self.rows >= FEW else 1
         return NativeNormal(self._packed, self.x0, self.start_std, self.prior_information, threads)
 
+    @cached_property
+    def _weighted(self) -> WeightedNormal | None:
+        """Sums in C of rows weighted by a loss; None where some are not evaluated in C, or threads share them."""
+        return None if self._packed is None or self.rows >= FEW else WeightedNormal(self._packed, self._rows.noise)
+
     def normal(self, x: Array, loss: Loss | None = None) -> Normal:
         """Cost, gradient and information of the data, accumulated in the kernels; rows weighted by a loss."""
         if loss is None and self._native is not None:
             return Normal(*self._native.sums(x))
+        if loss is not None and self._weighted is not None:
+            return Normal(*self._weighted.sums(x, loss))
         cost, gradient, information = 0.0, np.zeros(x.size), np.zeros((x.size, x.size))
         for piece, some, s in self._rows.sums(x, loss):
             cost += some

@@ -182,8 +182,8 @@ def make_slots(problem: Problem, samples: Sequence[Samples], known: Mapping[str,
         if any(place.nominal is None for place in places):
             found = sought(problem, i, samples[i], places)
             slots[:] = [replace(slot, nominal=read_only(found.get(slot.name, slot.nominal))) for slot in slots]
-        for term in problem.models[i].terms:
-            for key, unknown in term.unknowns(problem.symbols_of(i).site).items():
+        for term, unknowns in problem.symbols_of(i).of_terms:
+            for key, unknown in unknowns.items():
                 for label, _ in instances(instrument, key, unknown, samples[i]):
                     full = key if term.moves else problem.prefix(i) + key
                     if (full if label is None else f"{full}.{label}") not in taken:

@@ -21,6 +21,7 @@ import casadi as ca
 import numpy as np
 
 from casacal.kernels.libraries import CompilerError, load_library
+from casacal.kernels.losses import Loss
 from casacal.kernels.program import TRIGONOMETRIC, C, Kind, Program, name_of
 from casacal.kernels.rows import Kernels, Lanes, Piece
 from casacal.threads import shared_out
@@ -324,3 +325,65 @@ class NativeNormal:
                 return None
             out = self._out.copy()
         return out[:n], float(out[n]), float(out[n + 1])
+
+
+class WeightedNormal:
+    """Sums over few rows at one x, weighted by a loss, which is asked once for all pieces.
+
+    Numbers go in and come out through memory that stays, as in `NativeNormal`; threads may share it.
+    """
+
+    def __init__(self, packed: PackedPieces, noise: Array) -> None:
+        self._lock, count = threading.Lock(), sum(piece.numbers.size for piece in packed.pieces)
+        self._r, self._noise, self._weights = np.empty(count), np.empty(count), np.empty(count)
+        self._parts, first = [], 0
+        for piece in packed.pieces:
+            own = slice(first, first + piece.numbers.size)
+            self._noise[own] = noise[piece.numbers].T.ravel()
+            self._parts.append(_WeightedPiece(piece, own, self._r[own], self._weights[own]))
+            first = own.stop
+
+    def sums(self, x: Array, loss: Loss) -> tuple[float, Array, Array]:
+        """Sum of a loss at x (n,), its gradient (n,), and J'WJ (n, n)."""
+        n, cost = x.size, 0.0
+        gradient, information = np.zeros(n), np.zeros((n, n))
+        with self._lock:
+            for part in self._parts:
+                part.evaluate(x)
+            self._r /= self._noise
+            self._weights[:] = np.sqrt(loss.weight(self._r)) / self._noise  # a weight on r^2 is its root on r
+            costs = loss.cost(self._r)
+            for part in self._parts:
+                s = part.normal()
+                cost += float(costs[part.own].sum())
+                gradient[part.columns] += s[:-1, -1]
+                information[part.columns[:, None], part.columns] += s[:-1, :-1]
+        return cost, gradient, information
+
+
+class _WeightedPiece:
+    """A piece with residuals and weights in memory that stays."""
+
+    def __init__(self, piece: Piece, own: slice, residual: Array, weights: Array) -> None:
+        kernels, lanes, self.own, self.columns = piece.kernels, piece.lanes, own, piece.columns
+        assert isinstance(kernels, NativeKernels)
+        shape, ld = (kernels.components, lanes.n), lanes.w.shape[1]
+        self._p, self._e = np.concatenate([np.zeros(self.columns.size), piece.constants]), np.empty((shape[0], ld))
+        self._w, self._s = kernels._packed(np.zeros(shape)), np.empty((kernels.rows, kernels.rows))
+        self._e_out, self._w_in = residual.reshape(shape), weights.reshape(shape)
+        self._lanes, self._entries = lanes, slice(kernels.unknowns + 1)
+        p, d, e, w, s = (_at(each) for each in (self._p, lanes.d, self._e, self._w, self._s))
+        self._residual = functools.partial(kernels._residual, lanes.n, ld, p, d, e)
+        self._normal = functools.partial(kernels._normal, lanes.n, ld, p, d, w, s)
+
+    def evaluate(self, x: Array) -> None:
+        """Write plain residuals at x (n,)."""
+        self._p[: self.columns.size] = x[self.columns]
+        self._residual()
+        self._e_out[:] = self._e[:, : self._lanes.n]
+
+    def normal(self) -> Array:
+        """Weighted normal matrix of slopes and, last, residual (z + 1, z + 1), until the next one."""
+        self._w[:, : self._lanes.n] = self._w_in
+        self._normal()
+        return self._s[self._entries, self._entries]

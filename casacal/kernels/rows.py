@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -47,7 +47,7 @@ class Kernels(ABC):
 
     def reweighted(self, lanes: Lanes, w: Array) -> Lanes:
         """Rows with other weights (m, n)."""
-        return replace(lanes, w=self._packed(w))
+        return Lanes(lanes.n, lanes.d, self._packed(w))
 
     @abstractmethod
     def _packed(self, columns: Array, *, repeat: bool = False) -> Array:

@@ -434,7 +434,8 @@ def check_declaration(instrument: object) -> None:
         if not isinstance(unknown, Unknown):
             raise ProblemError(f"Unknown '{key}' of {name} is {came(unknown)}", "Make it a Parameter or its like")
         check_own_kind(unknown, f"unknown '{key}' of {name}")
-    for own in {name for cls in type(instrument).__mro__ if not issubclass(Instrument, cls) for name in vars(cls)}:
+    others = [cls for cls in type(instrument).__mro__ if not cls.__module__.startswith("casacal.")]
+    for own in {name for cls in others if not issubclass(Instrument, cls) for name in vars(cls)}:
         for meant in [] if hasattr(Instrument, own) else difflib.get_close_matches(own, DECLARABLE, 1, 0.85):
             raise ProblemError(
                 f"{name} has '{own}', which nobody asks for", f"Call it '{meant}', or else something else"

@@ -14,6 +14,7 @@ from casacal.data.samples import Samples
 from casacal.model.geometry import fitted_plane
 from casacal.model.instrument import Instrument
 from casacal.model.kinematics import Expression
+from casacal.model.links import Links
 from casacal.model.robot import Robot
 from casacal.model.unknown import Parameter
 from casacal.user_code import Portable
@@ -101,6 +102,11 @@ class Site:
 
     robot: Robot
     instrument: Instrument
+
+    @cached_property
+    def links(self) -> Links:
+        """Screws and places of the arm's links; ProblemError where joints do not carry one another in order."""
+        return Links.of(self.robot)
 
     @cached_property
     def components(self) -> int:

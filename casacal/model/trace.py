@@ -49,16 +49,22 @@ class Trace(Value):
         return Site(self.robot, self.instrument)
 
     @cached_property
+    def of_terms(self) -> tuple[tuple[Term, Mapping[str, Unknown]], ...]:
+        """Terms that have unknowns for this robot and instrument, each with these by key."""
+        every = ((term, FrozenMapping(term.unknowns(self.site))) for term in self.terms)
+        return tuple((term, unknowns) for term, unknowns in every if unknowns)
+
+    @property
     def acting(self) -> tuple[Term, ...]:
         """Terms that have unknowns for this robot and instrument."""
-        return tuple(term for term in self.terms if term.unknowns(self.site))
+        return tuple(term for term, _ in self.of_terms)
 
     @cached_property
     def unknowns(self) -> Mapping[str, Unknown]:
         """Unknowns by key: the robot's, then the instrument's, then those of the terms."""
         found: dict[str, Unknown] = {**self.robot.parameters, **self.instrument.unknowns}
-        for term in self.acting:
-            found |= term.unknowns(self.site)
+        for _, unknowns in self.of_terms:
+            found |= unknowns
         return FrozenMapping(found)
 
     @cached_property

@@ -49,7 +49,9 @@ def test_loose_priors_on_the_real_arm_are_refused(motoman_data):
 @pytest.mark.long
 def test_a_parameter_that_moves_too_far_is_named(hsr):
     simulation = simulate(hsr.problem, dataclasses.replace(hsr.cell, error_scale=8.0), seed=1)
-    said = warnings(calibrate(hsr.problem, simulation.samples, method="lm", reference=False))
+    found = calibrate(hsr.problem, simulation.samples, method="lm", reference=False)
+    vars(found.unjudged)["data_errors"] = ()  # of the data check nothing is asked here, and it takes hundreds of fits
+    said = warnings(found.unjudged)
     assert "more than 4 prior standard deviations" in said[0]
 
 

@@ -41,11 +41,12 @@ def swapped_at_first(joints):
 
 @pytest.mark.long_unless("adept_cobra600-swapped_at_first-joints 1 and 2 swapped up to line -43")
 @pytest.mark.parametrize(
-    ("change", "about", "near"),
+    ("touched", "change", "about", "near"),
     [
-        (swapped, "joints 1 and 2 swapped from line ", PLACE),
-        (swapped_at_first, "joints 1 and 2 swapped up to line ", PLACE - 1),
+        ("ur5", swapped, "joints 1 and 2 swapped from line ", PLACE),
+        ("adept_cobra600", swapped_at_first, "joints 1 and 2 swapped up to line ", PLACE - 1),
     ],
+    indirect=["touched"],
 )
 def test_what_happened_to_joints_is_named_with_its_line(touched, change, about, near):
     problem, samples = touched
@@ -67,8 +68,10 @@ def test_an_encoder_that_slipped_is_named_with_its_joint_its_line_and_its_size(t
     assert float(size) == pytest.approx(0.5, abs=0.03)
 
 
-@pytest.mark.long_unless("adept_cobra600-rows1", "ur5-rows1")
-@pytest.mark.parametrize("rows", [slice(PLACE, None), slice(20, 41)])
+@pytest.mark.long_unless("ur5-rows1")
+@pytest.mark.parametrize(
+    ("touched", "rows"), [("adept_cobra600", slice(PLACE, None)), ("ur5", slice(20, 41))], indirect=["touched"]
+)
 def test_a_joint_that_hangs_is_named_with_its_rows(touched, rows):
     problem, samples = touched
 
@@ -82,6 +85,7 @@ def test_a_joint_that_hangs_is_named_with_its_rows(touched, rows):
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("touched", ["adept_cobra600"], indirect=True)
 def test_exchanged_labels_and_a_turned_dial_are_named_by_check(touched):
     problem, samples = touched
     column, reading = problem.instrument.groups, problem.instrument.probe.column

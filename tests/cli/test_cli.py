@@ -17,7 +17,6 @@ from oracles import dh_chain
 
 import casacal
 from casacal.cli.main import main
-from casacal.fit.methods import METHODS
 
 HSR = (ROOT / "problems" / "hsr_jr680").as_posix()
 KNOWN_FROM = {"samples", "samples and prior", "prior alone", "held"}
@@ -128,8 +127,8 @@ def test_the_summary_says_what_a_person_needs(run, told):
 
 
 @pytest.mark.long_unless("ekf", "plane-only")
-@pytest.mark.parametrize("method", METHODS)
-def test_every_method_runs_and_its_exit_code_is_that_of_the_verdict(run, method):
+@pytest.mark.parametrize("method", ["ekf", "plane-only", "ipopt"])  # test_own_instrument.py runs every one by command
+def test_a_method_runs_and_its_exit_code_is_that_of_the_verdict(run, method):
     code, out, _ = run("calibrate", HSR, "--method", method)
     assert f": {method} from 120 samples" in out.splitlines()[0]
     far = method == "plane-only"  # it ends far above the minimum

@@ -458,7 +458,7 @@ def test_numbers_of_each_instrument_are_set_by_its_name(tmp_path, capsys):
 @pytest.mark.long
 def test_threads_share_a_problem_and_find_the_same(simulated):
     with ThreadPoolExecutor(4) as pool:
-        jobs = [pool.submit(calibrate, problem, simulated.measured, reference=False) for _ in range(8)]
+        jobs = [pool.submit(calibrate, problem, simulated.measured, reference=False) for _ in range(4)]
         xs = [job.result().x for job in jobs]
     for x in xs[1:]:
         np.testing.assert_array_equal(x, xs[0])

@@ -234,6 +234,11 @@ def test_a_left_handed_frame_is_named(axis):
     samples = seen_by("TrackedPoint")
     mirrored = replace(samples, columns={**samples.columns, axis: -samples.columns[axis]})
     assert check(PROBLEMS["TrackedPoint"], mirrored)[0].about == "left-handed frame"
+
+
+@pytest.mark.long
+def test_exchanged_axes_are_a_left_handed_frame_and_right_ones_are_none():
+    samples = seen_by("TrackedPoint")
     exchanged = replace(samples, columns={**samples.columns, "x": samples.columns["y"], "y": samples.columns["x"]})
     assert check(PROBLEMS["TrackedPoint"], exchanged)[0].about == "left-handed frame"
     assert all(finding.about != "left-handed frame" for finding in check(PROBLEMS["TrackedPoint"], samples))

@@ -77,7 +77,11 @@ def test_without_noise_the_truth_is_exact(place):
 
 
 @pytest.mark.long_unless("held-lm")
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("place", "method"),
+    [*(("wire", method) for method in METHODS), ("stylus", "lm"), ("held", "lm")],
+    indirect=["place"],
+)
 def test_each_method_calibrates_and_reports(place, samples, method, tmp_path, capsys):
     code = main(["calibrate", str(place), str(samples), "--method", method, "--holdout", "0.2", "--out", str(tmp_path)])
     said = capsys.readouterr()

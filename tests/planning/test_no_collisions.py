@@ -1,4 +1,4 @@
-"""A hundred plans over five arms, looked at by kinematics and distances of our own: nothing touches what it must not.
+"""Fifty plans over five arms, looked at by kinematics and distances of our own: nothing touches what it must not.
 
 Arms come from their makers' DH tables (`planned_arms`). Links are sampled every 4 mm as balls; what is closer than the
 spacing allows counts as touching only where it surely does, so that the oracle has no opinion of a hair's breadth.
@@ -15,7 +15,7 @@ from casacal.planning.candidates import Clearance
 
 STEP = 4.0  # mm between the balls that stand for a link
 THICK = {"UR5": 62.0, "UR10e": 89.0, "IRB 120": 42.0, "LBR iiwa 14": 61.0, "SCARA": 41.0}  # link radius of a plan, mm
-PLANS = 20  # of each arm
+PLANS = 10  # of each arm: of 600 postures in all, what one in a hundred does is seen 997 times of 1000
 REFUSED = 0.3  # part that may be: plates stand at random
 SAID = ("keep clear", "cannot touch", "reaches down to")  # of what is refused
 
@@ -118,7 +118,7 @@ def touching(problem, arm, found, cell, boxes):
 
 @pytest.mark.long
 @pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
-def test_twenty_plans_of_each_arm_touch_nothing_but_their_faces(arm):
+def test_ten_plans_of_each_arm_touch_nothing_but_their_faces(arm):
     problem, rng, refused, made = problem_of(arm), np.random.default_rng(11), [], 0
     while made < PLANS:
         cell, boxes = random_cell(arm, rng)

@@ -245,6 +245,7 @@ def test_several_instruments_are_planned_one_by_one():
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("set_ups_of_few")
 def test_the_command_line_plans(tmp_path, capsys):
     out = tmp_path / "plan.csv"
     small = ["--pool", "80", "--touches", "20"]
@@ -269,6 +270,7 @@ def test_the_command_line_plans(tmp_path, capsys):
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("set_ups_of_few")
 def test_a_plan_for_targets_is_told_as_json(tmp_path, capsys):
     out = tmp_path / "plan.csv"
     small = ["--pool", "80", "--touches", "20"]
@@ -283,6 +285,7 @@ def test_a_plan_for_targets_is_told_as_json(tmp_path, capsys):
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("set_ups_of_few")
 def test_a_plan_is_simulated_as_it_would_be_measured(tmp_path, capsys):
     """The touches to fit in one file, those to verify with in another, each face with as many as place it."""
     files = {name: str(tmp_path / f"{name}.csv") for name in ("plan", "s", "s_check", "other", "flipped")}
@@ -385,6 +388,7 @@ def test_errors_of_no_rows_are_those_of_the_prior():
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("set_ups_of_few")
 def test_ranges_below_zero_need_no_equals_sign(tmp_path, capsys):
     out, common = tmp_path / "plan.csv", ["--pool", "120", "--touches", "12"]
     for option in (["--keep-out", "-100:100,-100:100,0:1"], ["--keep-out=-100:100,-100:100,0:1"]):

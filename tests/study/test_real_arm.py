@@ -86,14 +86,26 @@ def reflector_rms(arm, motoman, path):
     return math.sqrt(float((found.fun**2).reshape(-1, 3).sum(axis=1).mean()))
 
 
-def as_used(motoman, motoman_data, contacts, prior=None, noise_std=0.01, discrepancy="kit"):
+def as_used(motoman, motoman_data, contacts, *, of_any_arm=False, noise_std=0.01, discrepancy="kit"):
     """Tracker RMS over that of the drawing, for both sets, of what `calibrate` makes of the contacts."""
-    problem = stating(motoman, noise_std)
-    problem = problem if prior is None else problem.with_prior(prior)
-    found = calibrate(problem, contacts, method="lm", reference=False, discrepancy=discrepancy)
+    found = calibrated(motoman, contacts, noise_std, of_any_arm, discrepancy)
     before = [tracker_rms(held(motoman.robot), motoman_data / name) for name in SETS]
     after = [reflector_rms(found, motoman, motoman_data / name) for name in SETS]
     return found, [a / b for a, b in zip(after, before, strict=True)]
+
+
+ANY_ARM = {"a": 0.7, "d": 0.7, "alpha": 1e-3, "theta": 1e-3}
+CALIBRATED = {}
+
+
+def calibrated(motoman, contacts, noise_std, of_any_arm, discrepancy):
+    """What `calibrate` makes of all contacts, once for all tests of this file."""
+    key = noise_std, of_any_arm, discrepancy
+    if key not in CALIBRATED:
+        problem = stating(motoman, noise_std)
+        problem = problem.with_prior(ANY_ARM) if of_any_arm else problem
+        CALIBRATED[key] = calibrate(problem, contacts, method="lm", reference=False, discrepancy=discrepancy)
+    return CALIBRATED[key]
 
 
 def test_the_referee_who_knows_poses_alone_agrees(motoman, motoman_data, contacts):
@@ -108,14 +120,11 @@ def test_the_stated_noise_does_not_decide_how_much_better(motoman, motoman_data,
     """The contacts show what they err by; the tracker sees the same arm whatever was stated."""
     ratios = [
         as_used(motoman, motoman_data, contacts, noise_std=noise_std, discrepancy=discrepancy)[1]
-        for noise_std in (0.01, 0.05, 0.2, 0.45)
+        for noise_std in (0.01, 0.2, 0.45)
     ]
     assert np.max(ratios) <= (0.78 if discrepancy == "none" else 0.75)
-    assert np.ptp(ratios[:3], axis=0).max() < 0.01
+    assert np.ptp(ratios[:2], axis=0).max() < 0.01
     assert np.ptp(ratios, axis=0).max() < 0.04  # with 0.45 some faces are stated rougher than they are
-
-
-ANY_ARM = {"a": 0.7, "d": 0.7, "alpha": 1e-3, "theta": 1e-3}
 
 
 def test_a_prior_of_any_arm_with_a_tenth_of_the_noise_is_refused(motoman, motoman_data, contacts):
@@ -135,14 +144,14 @@ def test_a_prior_of_any_arm_with_a_tenth_of_the_noise_is_refused(motoman, motoma
 @pytest.mark.long
 @pytest.mark.parametrize("noise_std", [0.01, 0.45])
 def test_a_prior_of_any_arm_does_not_ruin_it_where_effects_are_known(motoman, motoman_data, contacts, noise_std):
-    _, ratios = as_used(motoman, motoman_data, contacts, ANY_ARM, noise_std)
+    _, ratios = as_used(motoman, motoman_data, contacts, of_any_arm=True, noise_std=noise_std)
     assert max(ratios) <= 0.85
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("noise_std", [0.01, 0.45])
-def test_a_prior_of_any_arm_is_used_with_care_where_effects_are_known(motoman, motoman_data, contacts, noise_std):
-    found, _ = as_used(motoman, motoman_data, contacts, ANY_ARM, noise_std)
+def test_a_prior_of_any_arm_is_used_with_care_where_effects_are_known(motoman, contacts, noise_std):
+    found = calibrated(motoman, contacts, noise_std, True, "kit")
     assert found.corrected == ()  # sag, told by faces but not by regions of postures
     # no length is another than drawn: the rows are likelier with errors that they share
     assert verdict_of(found).level == ("use with care" if noise_std > 0.1 else "do not use")
@@ -151,10 +160,7 @@ def test_a_prior_of_any_arm_is_used_with_care_where_effects_are_known(motoman, m
 @pytest.mark.long
 def test_rows_that_err_together_hide_no_gross_row(motoman, contacts):
     """The two that every look from outside finds: geometry alone, under its tight prior, hides one of them."""
-    alone, found = (
-        calibrate(stating(motoman, 0.01), contacts, method="lm", reference=False, discrepancy=each)
-        for each in ("none", "kit")
-    )
+    alone, found = (calibrated(motoman, contacts, 0.01, False, each) for each in ("none", "kit"))
     assert found.corrected == ("give",)
     assert set(found.aside_lines) == {103, 485}  # and not 288 to 290, three touches of one place that are off together
     motion = found.unjudged.motion

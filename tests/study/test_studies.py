@@ -35,8 +35,7 @@ def file(request, monkeypatch):
 def test_a_study_runs_and_reports(file, tmp_path, capsys):
     for package in EXTRA.get(file.stem, ()):
         pytest.importorskip(package)
-    few = "1" if file.stem == "real_arm_effects" else "2"  # five hundred contacts, and the whole check of each fit
-    trials = ["--trials", few] if load_study(file).study is not None else []
+    trials = ["--trials", "1"] if load_study(file).study is not None else []
     assert main(["study", str(file), "--quick", "--out", str(tmp_path), *trials]) == 0
     assert "Written" in capsys.readouterr().out
     report = (tmp_path / "report.md").read_text(encoding="utf-8")

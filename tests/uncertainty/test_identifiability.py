@@ -102,9 +102,9 @@ def test_what_determined_a_parameter():
 
 
 @pytest.mark.long_unless("3 orthogonal, tilt 30")
-@pytest.mark.parametrize("row", TABLE.values(), ids=TABLE)
-def test_result_json_holds_the_table(row, tmp_path, capsys):
-    faces, tilt, rank, unknowns, expected, _ = row
+@pytest.mark.parametrize("name", ["1 horizontal, tool normal", "3 orthogonal, tool normal", "3 orthogonal, tilt 30"])
+def test_result_json_holds_the_table(name, tmp_path, capsys):
+    faces, tilt, rank, unknowns, expected, _ = TABLE[name]
     problem = tmp_path / "problem.py"
     problem.write_text(
         (ROOT / "problems" / "hsr_jr680" / "problem.py").read_text()
