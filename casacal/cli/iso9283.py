@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import math
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casacal.cli import common
@@ -87,7 +89,8 @@ def _plan(options: argparse.Namespace) -> int:
     answer(
         options,
         {**found, "targets": len(plan.names), "notes": [plan.words], "written": outs},
-        f"Cube of {plan.side:g} mm about {x:g}, {y:g}, {z:g} mm, diagonal plane {plan.plane}, tool normal to it",
+        f"Cube of {plan.side:g} mm about {x:g}, {y:g}, {z:g} mm, diagonal plane {plan.plane}, tool normal to it"
+        + ("; found by a search, so a larger one may exist" if options.side is None else ""),
         f"Measured point: {a:g}, {b:g}, {c:g} mm in the flange frame"
         + (", the instrument's tip; give that of a tracker's reflector by --tool" if options.tool is None else ""),
         "Poses: 30 cycles P5, P4, P3, P2, P1, after P1. Path: 10 times the line L0 to L12",
@@ -109,6 +112,9 @@ def _judge(options: argparse.Namespace) -> int:
     from casacal.files import write_text
     from casacal.verification.performance import pose_accuracy
 
+    if Path(options.problem).is_dir() or options.problem.endswith((".json", ".py")):
+        what = f"'{options.problem}' holds no targets, and MEASURED is judged by the points that were commanded"
+        raise CasacalError(what, "Plan with --out plan.csv alone, then casacal iso9283 plan.csv MEASURED")
     if options.out is not None:
         spare([options.out], options.problem, options.measured, options.before)
     found = pose_accuracy(options.problem, options.measured, in_base=options.in_base)
@@ -137,7 +143,8 @@ def _times(ratio: float | None) -> str:
 
 
 def _told(figure: Criterion) -> str:
-    return f"{figure.value:>9.4f} {figure.unit:3} +- {figure.std:<9.4f}"
+    spread = f"{figure.std:<9.4f}" if math.isfinite(figure.std) else f"{'unknown':9}"
+    return f"{figure.value:>9.4f} {figure.unit:3} +- {spread}"
 
 
 def _csv(found: PoseAccuracy, before: PoseAccuracy | None) -> str:

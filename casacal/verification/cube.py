@@ -195,6 +195,8 @@ class _CubeSearch:
             if not np.isfinite(tool).all():
                 raise CasacalError("The problem does not say where the measured point is", "Give it: --tool X,Y,Z, mm")
         point = _vector(tool, "measured point")
+        if 0 < np.linalg.norm(point) < 1:
+            raise CasacalError(f"The measured point is {tuple(point.tolist())} mm", "Give mm: 0.15 m are 150")
         clear = around.clear(bank, place + turn @ point)
         if not clear.any():
             raise CasacalError("The arm keeps clear in none of its postures", "Look at table, boxes and link radius")

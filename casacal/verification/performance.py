@@ -99,7 +99,7 @@ def pose_accuracy(
     commanded, turns = _commanded(targets)
     rows = _Rows.of(_table(measured), [*commanded])
     notes = [f"{counted(rows.missing, 'line')} without a measurement"] if rows.missing else []
-    sets = {name: rows.of_point(name) for name in reversed(CYCLE)}
+    sets = {name: rows.of_point(name) for name in commanded if not name.startswith("L")}
     once = [name for name, each in sets.items() if len(each) < 2]
     kept = {name: each for name, each in sets.items() if len(each) >= 2}
     if once:
@@ -222,7 +222,7 @@ class _Rows:
 
 def _in_order(points: Sequence[str], known: Sequence[str]) -> list[str] | None:
     """Cycles of rows that name none: a new one begins where the order does; None where most would have one row."""
-    rank = {name: k for k, name in enumerate([*CYCLE, *(each for each in known if each.startswith("L"))])}
+    rank = {name: k for k, name in enumerate([*CYCLE, *(each for each in known if each not in CYCLE)])}
     ranks, cycles, cycle = [rank.get(point, -1) for point in points], list[str](), 0
     for k, own in enumerate(ranks):
         cycle += k > 0 and own <= ranks[k - 1]
@@ -251,7 +251,7 @@ def _commanded(targets: Any) -> tuple[dict[str, Array], dict[str, Array]]:
         turned = np.roll(wxyz, -1, axis=1)
         return dict(zip(targets.names, targets.tips, strict=True)), dict(zip(targets.names, turned, strict=True))
     if isinstance(targets, Mapping):
-        points = {str(name): np.asarray(place, dtype=np.float64) for name, place in targets.items()}
+        points = {str(name).upper(): np.asarray(place, dtype=np.float64) for name, place in targets.items()}
         if not points or any(place.shape != (3,) or not np.isfinite(place).all() for place in points.values()):
             raise CasacalError("The commanded points are not three numbers each", "Give {'P1': (x, y, z), ...} in mm")
         return points, {}
@@ -259,12 +259,15 @@ def _commanded(targets: Any) -> tuple[dict[str, Array], dict[str, Array]]:
         raise CasacalError(f"Got {came(targets)} as targets", "Give a plan, its file, or points by name")
     table = read_any_table(targets)
     tips = "tip_x_mm" in table.header
-    if "point" not in table.header or "qw" in table.header:
+    if "point" not in table.header or {"qw", "cycle"} & set(table.header):
         what = "these are not the targets of casacal iso9283 PROBLEM, with point and tip_x_mm, tip_y_mm, tip_z_mm"
         raise SamplesError(str(targets), what, "Name the plan, or a CSV of points: point,x_mm,y_mm,z_mm")
     found = _lengths(table, [f"tip_{axis}" if tips else axis for axis in COORDINATES])
     places = np.column_stack([np.array(table.numbers(column)) * factor for column, factor in found.values()])
     labels = [cell.upper() for cell in table.column("point")]
+    for k, label in enumerate(labels):
+        if label in labels[:k]:
+            raise SamplesError(table.file, f"'{label}' is listed twice", "List each point once", line=table.lines[k])
     wxyz = np.column_stack([table.numbers(name) for name in FLANGE]) if tips else np.zeros((0, 4))
     return dict(zip(labels, places, strict=True)), dict(zip(labels, np.roll(wxyz, -1, axis=1), strict=False))
 

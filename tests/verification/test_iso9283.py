@@ -344,6 +344,7 @@ def test_cubes_out_of_reach_and_slips_of_a_plan(ur5):
         ({"centre": (450, 0), "side": 300}, "three numbers"),
         ({"plane": "z+"}, "no plane named"),
         ({"tool": (1, 2)}, "measured point"),
+        ({"tool": (0, 0, 0.15)}, "0.15 m are 150"),
     ):
         with pytest.raises(CasacalError, match=said):
             plan_cube(ur5.problem, **slip)
@@ -381,7 +382,8 @@ def test_the_command_plans_and_judges(tmp_path, monkeypatch, capsys):
     for wrong, said in (
         (["iso9283", "plan.csv", "sheet.csv"], "every line is empty"),
         (["iso9283", "plan.csv", "plan.csv"], "these are targets"),
-        (["iso9283", "after.csv", "plan.csv"], "these are targets"),
+        (["iso9283", "after.csv", "plan.csv"], "these are not the targets"),
+        (["iso9283", str(ROOT / "problems" / "ur5"), "after.csv"], "holds no targets"),
         (["iso9283", "plan.csv", "after.csv", "--side", "300"], "--side is for planning"),
         (["iso9283", str(ROOT / "problems" / "ur5"), "--out", "a.csv", "--in-base"], "--in-base is for measured rows"),
         (["iso9283", str(ROOT / "problems" / "ur5")], "--out is missing"),
@@ -391,3 +393,18 @@ def test_the_command_plans_and_judges(tmp_path, monkeypatch, capsys):
     ):
         assert main(wrong) == 2, wrong
         assert said in capsys.readouterr().err, wrong
+
+
+def test_points_of_ones_own(tmp_path):
+    """As for a SCARA: any names, in a CSV without joints."""
+    own = {"A": (300, 0, 50), "B": (300, 200, 50), "C": (100, 250, 50)}
+    lines = [f"{name},{x},{y},{z}" for name, (x, y, z) in own.items()]
+    (tmp_path / "own.csv").write_text("\n".join(["point,x_mm,y_mm,z_mm", *lines]))
+    rows = visited(1, points=own, names=["A", "B", "C"], off={"B": (0, 0, 0.5)})
+    found = pose_accuracy(tmp_path / "own.csv", rows, in_base=True)
+    assert value(found, "AP B") == pytest.approx(0.5, abs=0.02)
+    assert value(found, "RP C") == pytest.approx(0.02 * 3.615, rel=0.35)
+    assert "AD and RD cannot be told" in found.notes[0]
+    (tmp_path / "own.csv").write_text("\n".join(["point,x_mm,y_mm,z_mm", *lines, lines[0]]))
+    with pytest.raises(SamplesError, match="line 5: 'A' is listed twice"):
+        pose_accuracy(tmp_path / "own.csv", rows)
