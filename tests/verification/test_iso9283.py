@@ -14,6 +14,8 @@ from casacal.deployment import read_result, read_targets
 from casacal.deployment.compensate import compensate
 from casacal.deployment.predict import predict
 from casacal.errors import CasacalError, SamplesError
+from casacal.planning import Clearance
+from casacal.simulation import Disturbances
 from casacal.verification import plan_cube, pose_accuracy
 
 ORDER = ["P5", "P4", "P3", "P2", "P1"]
@@ -209,6 +211,8 @@ def test_the_path_is_judged_in_its_normal_planes():
     assert in_plane < value(found, "RT") < 1.6 * in_plane
     holed = scattered[(scattered["point"] != "L6") | (scattered["cycle"] > 5)]
     assert pose_accuracy(points, holed, in_base=True).criteria["AT"].cycles == 35
+    mixed = pose_accuracy(points, scattered.sample(frac=1, random_state=1), in_base=True)
+    assert value(mixed, "AT") == pytest.approx(value(pose_accuracy(points, scattered, in_base=True), "AT"), rel=1e-9)
     dense = scattered.assign(point=scattered["point"].where(scattered["point"].str.startswith("P"), "L"))
     assert value(pose_accuracy(points, dense, in_base=True), "AT") < 0.02
 
@@ -233,6 +237,28 @@ def test_orientations(plan, tmp_path):
     assert "APa P1" not in found.criteria
     assert "axes are not the flange's" in found.notes[0]
     assert value(found, "RPc P1") == pytest.approx(3 * own[:, 2].std(ddof=1), rel=1e-3)
+
+
+def test_orientations_are_about_the_axes_of_the_base(plan):
+    from scipy.spatial.transform import Rotation
+
+    rng, rows = np.random.default_rng(0), visited(1, points=dict(zip(plan.names, plan.tips, strict=True)))
+    off = Rotation.from_rotvec(np.radians(rng.normal(0, (0.05, 0.01, 0.01), (len(rows), 3))))
+    turned = Rotation.from_euler("z", 90, degrees=True)
+    rows[["qx", "qy", "qz", "qw"]] = (turned * off * Rotation.from_matrix(plan.poses[0, :3, :3])).as_quat()
+    rows[["x_mm", "y_mm", "z_mm"]] = rows[["x_mm", "y_mm", "z_mm"]].to_numpy() @ turned.as_matrix().T
+    found = pose_accuracy(plan, rows)
+    assert value(found, "RPa P1") > 3 * value(found, "RPb P1")
+    assert "APa P1" not in found.criteria
+
+
+def test_there_is_no_ratio_to_what_is_nothing_but_scatter():
+    before, after = (pose_accuracy(POINTS, visited(seed, off={"P1": (0, 0, 1)}), in_base=True) for seed in (1, 2))
+    ratios = {name: ratio for name, _, _, ratio in after.table(before)}
+    assert ratios["AP P1"] == pytest.approx(1, abs=0.02)
+    small = {name for name, each in before.criteria.items() if abs(each.value) < 2 * each.std}
+    assert small
+    assert all(ratios[name] is None for name in small)
 
 
 def test_a_dial_tells_of_its_axis_alone():
@@ -338,6 +364,14 @@ def test_cubes_out_of_reach_and_slips_of_a_plan(ur5):
         plan_cube(ur5.problem, centre=(450, 0, 350), side=1500)
     with pytest.raises(CasacalError, match="not even its centre"):
         plan_cube(ur5.problem, centre=(3000, 0, 350), side=300)
+    cube = {"centre": (-450, 0, 350), "side": 300}
+    box = (-700, -500), (-300, -50), (150, 550)
+    with pytest.raises(CasacalError, match="up to a side of"):
+        plan_cube(ur5.problem, **cube, clearance=Clearance((box,)))
+    with pytest.raises(CasacalError, match="reaches"):
+        plan_cube(ur5.problem, centre=(-450, 0, 100), side=300)
+    below = plan_cube(ur5.problem, centre=(-450, 0, 100), side=300, cell=Disturbances(table=-500))
+    assert below.tips[:, 2].min() < 0
     for slip, said in (
         ({"centre": (450, 0, 350)}, "both"),
         ({"centre": (0.45, 0, 0.35), "side": 0.3}, "0.4 m are 400"),
