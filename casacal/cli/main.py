@@ -23,7 +23,7 @@ AGAIN = 0.1  # seconds after which an interrupt that ended nothing is raised onc
 GROUPS = {
     "describe the arm": ("new", "doctor"),
     "plan and measure": ("plan", "measure", "check", "serve"),
-    "calibrate": ("calibrate", "verify", "changed"),
+    "calibrate": ("calibrate", "verify", "iso9283", "changed"),
     "use the calibrated arm": ("predict", "compensate", "export"),
     "simulate and compare": ("simulate", "demo", "study", "bench"),
     "for other programs": ("schema", "completion"),
