@@ -136,7 +136,11 @@ def _explained(
     scores: list[tuple[int, Slip | None, float]] = []
     for number, rest in beliefs.items():
         scores.append((number, None, rest.evidence + STRAY_WEIGHT - stray))
-        others = [slip for slip in slips(number) if known.knows(slip.touch)]  # not a face that nobody has touched
+        possible = slips(number)
+        if not possible:
+            continue
+        there = covered(known.bound, rows_of([slip.touch for slip in possible]))  # not a face that nobody has touched
+        others = [slip for slip, known_face in zip(possible, there, strict=True) if known_face]
         if not others:
             continue
         rows = LinearRows.of(known, [slip.touch for slip in others])
