@@ -18,8 +18,9 @@ import urllib.error
 import urllib.request
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from http.client import HTTPMessage
 from http.cookiejar import CookieJar
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -138,6 +139,17 @@ def _bytes(link: socket.socket, count: int) -> bytes:
     return found
 
 
+class Digest(urllib.request.HTTPDigestAuthHandler):
+    """Digest authentication that closes each challenge, which the standard library leaves to the garbage collector."""
+
+    def http_error_401(
+        self, req: urllib.request.Request, fp: IO[bytes], code: int, msg: str, headers: HTTPMessage
+    ) -> Any:
+        """Answer a challenge; None where it is none of this kind."""
+        fp.close()
+        return super().http_error_401(req, fp, code, msg, headers)
+
+
 DEFAULT_USER, DEFAULT_PASSWORD = "Default User", "robotics"  # as ABB delivers its controllers
 
 
@@ -161,7 +173,7 @@ def rws(address: str) -> Callable[[], Array]:
     opener = urllib.request.build_opener(
         urllib.request.ProxyHandler({}),
         urllib.request.HTTPCookieProcessor(CookieJar()),
-        urllib.request.HTTPDigestAuthHandler(keys),
+        Digest(keys),
         urllib.request.HTTPBasicAuthHandler(keys),
         urllib.request.HTTPSHandler(context=unchecked),
     )
@@ -176,8 +188,8 @@ def rws(address: str) -> Callable[[], Array]:
             with lock, opener.open(urllib.request.Request(url, headers={"Accept": accept}), timeout=PATIENCE) as page:
                 document: Mapping[str, Any] = json.loads(page.read(LARGEST))
         except urllib.error.HTTPError as refused:
-            with refused:
-                raise ValueError(f"it answers {refused.code} {refused.reason}") from None
+            refused.close()
+            raise ValueError(f"it answers {refused.code} {refused.reason}") from None
         state = document["state"] if "state" in document else document["_embedded"]["_state"]
         return np.radians([float(state[0][f"rax_{k}"]) for k in range(1, AXES + 1)])
 

@@ -145,7 +145,7 @@ def test_version_and_no_command(capsys):
     code, out, err = call(capsys)
     assert (code, err) == (0, "")
     assert out.startswith("usage: casacal")
-    listed = re.findall(r"^  ([a-z]+)  +[a-z]", out, re.M)
+    listed = re.findall(r"^  ([a-z0-9]+)  +[a-z]", out, re.M)
     assert listed == list(COMMANDS)
     assert out.index("measure:") < out.index("  plan ") < out.index("calibrate:") < out.index("  verify ")
 

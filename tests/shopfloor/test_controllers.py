@@ -1,6 +1,8 @@
 """Joint values off a controller: protocols played on loopback, and every way in which they go wrong."""
 
 import math
+import shutil
+import subprocess
 
 import pytest
 from conftest import ROOT
@@ -65,6 +67,20 @@ def test_user_unit_and_password_of_rws(robot):
         with pytest.raises(CasacalError, match="gives no joint values") as caught:
             controller(f"rws:cell:wrong@{address}/ROB_2", robot).joints()
         assert "wrong" not in str(caught.value)
+
+
+def test_robotware_7_by_tls_and_the_basic_scheme(robot, tmp_path):
+    openssl = shutil.which("openssl")
+    if openssl is None:
+        pytest.skip("no openssl here to make a certificate with")
+    both = tmp_path / "both.pem"
+    made = ["req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "1", "-subj", "/CN=controller"]
+    subprocess.run([openssl, *made, "-keyout", both, "-out", tmp_path / "cert.pem"], check=True, capture_output=True)
+    both.write_text(both.read_text() + (tmp_path / "cert.pem").read_text())
+    with rws_controller(PlayedArm(Q), tls=both) as address:
+        assert controller(f"rws:https://{address}", robot).standing() == pytest.approx(Q, abs=1e-8)
+        with pytest.raises(CasacalError, match="401"):
+            controller(f"rws:https://me:wrong@{address}", robot).joints()
 
 
 @pytest.mark.parametrize(

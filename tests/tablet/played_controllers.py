@@ -1,10 +1,12 @@
 """Controllers that play their protocols on loopback: RTDE of Universal Robots, Robot Web Services of ABB."""
 
+import base64
 import hashlib
 import json
 import math
 import re
 import socketserver
+import ssl
 import struct
 import threading
 from contextlib import contextmanager
@@ -70,8 +72,11 @@ def rtde_controller(arm):
 
 
 @contextmanager
-def rws_controller(arm, *, user="Default User", password="robotics", unit="ROB_1", most_sessions=3):
-    """HOST:PORT of a controller that wants digest authentication (RFC 2617) and has few sessions."""
+def rws_controller(arm, *, user="Default User", password="robotics", unit="ROB_1", most_sessions=3, tls=None):
+    """HOST:PORT of a controller that wants digest authentication (RFC 2617) and has few sessions.
+
+    tls: the file of a key and certificate; then it is one of RobotWare 7, which wants the basic scheme.
+    """
     sessions = set()
 
     class Handler(BaseHTTPRequestHandler):
@@ -85,7 +90,24 @@ def rws_controller(arm, *, user="Default User", password="robotics", unit="ROB_1
             self.send_header("Content-Length", "0")
             self.end_headers()
 
+        def newer(self):
+            basic = base64.b64encode(f"{user}:{password}".encode()).decode()
+            if self.headers.get("Authorization") != f"Basic {basic}":
+                self.refuse(401, ("WWW-Authenticate", 'Basic realm="validusers@robapi.abb"'))
+                return
+            assert self.path == f"/rw/motionsystem/mechunits/{unit}/jointtarget"
+            assert self.headers["Accept"] == "application/hal+json;v=2.0"
+            values = {f"rax_{k}": f"{math.degrees(q):.6f}" for k, q in enumerate(arm.now(), 1)}
+            body = json.dumps({"state": [{"_type": "ms-jointtarget", **values}]}).encode()
+            self.send_response(200)
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
         def do_GET(self):
+            if tls is not None:
+                self.newer()
+                return
             given = dict(re.findall(r'(\w+)="?([^",]+)"?', self.headers.get("Authorization", "")))
             ha = [
                 hashlib.md5(text.encode()).hexdigest()
@@ -114,5 +136,10 @@ def rws_controller(arm, *, user="Default User", password="robotics", unit="ROB_1
             self.end_headers()
             self.wfile.write(body)
 
-    with _running(ThreadingHTTPServer(("127.0.0.1", 0), Handler)) as address:
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    if tls is not None:
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.load_cert_chain(tls)
+        server.socket = context.wrap_socket(server.socket, server_side=True)
+    with _running(server) as address:
         yield address
