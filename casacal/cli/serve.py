@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.deployment.result_file import read_result
     from casacal.model.problem_file import load_problem
     from casacal.shopfloor.gauges import SerialLine, gauge
-    from casacal.tablet.server import address_of, listening, new_token, server
+    from casacal.tablet.server import address_of, listening, server, token_of
     from casacal.tablet.work import Work, Workplace
 
     source = common.of_instrument(load_problem(options.problem), options.instrument)
@@ -80,7 +80,7 @@ def run(options: argparse.Namespace) -> int:
             serial = SerialLine(options.serial, baud=options.baud, **frame_of(options.frame))
             line = open_things.enter_context(closing(serial))
         place = open_things.enter_context(closing(listening(options.host, options.port)))
-        port, token = place.getsockname()[1], new_token()
+        port, token = place.getsockname()[1], token_of(folder)
         work = Work(workplace, line=line)
         say_paragraphs(
             f"{address_of(options.host, port)}/?token={token}", f"Files go to {folder.as_posix()}; Ctrl-C ends"

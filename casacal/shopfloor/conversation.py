@@ -32,6 +32,7 @@ COMMANDS = (
 
 NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
 ALIKE = 1e-9  # mm or rad by which equal readings differ
+SAME_POSTURE = 1e-5  # rad or mm by which joint values differ that are of one touch of the plan
 UNLIKELY = 0.01  # chance of touches kept to verify below which they do not agree with the others
 
 
@@ -159,10 +160,23 @@ def answered(session: Session, proposed: Touch | None, line: str, gauge: Gauge, 
         if (beyond := beyond_travel(session.problem, typed.readings)) is not None:
             fix = "Check sign, point and unit; if the dial does show this, declare its travel in the problem file"
             raise CasacalError(beyond, fix)
+        if (another := _of_another(session, typed.joints, proposed)) is not None:
+            fix = f"Go to the posture that is waited for, or skip until touch {another} is"
+            raise CasacalError(f"These are the joint values of touch {another} of the plan", fix)
         after = session.take(*typed, number=None if proposed is None else proposed.number)
     except CasacalError as error:
         return Answer(session, (str(error),))
     return Answer(after, (_report(after), *doubt(after)), "added")
+
+
+def _of_another(session: Session, joints: Array, proposed: Touch | None) -> int | None:
+    """The touch of the plan whose joint values these are, where another one is waited for; None where none is."""
+    if session.plan is None or proposed is None:
+        return None
+    off = np.abs(session.plan.samples.joints - joints).max(axis=1)
+    if np.abs(proposed.joints - joints).max() < SAME_POSTURE or off.min() >= SAME_POSTURE:
+        return None
+    return int(off.argmin()) + 1
 
 
 def _obeyed(session: Session, proposed: Touch | None, word: str, number: int | None) -> Answer:

@@ -53,6 +53,11 @@ class Recording:
         return self._proposed[1]
 
     @property
+    def overtaken(self) -> bool:
+        """Whether another program has written to the files."""
+        return self.file.sizes() != self._sizes
+
+    @property
     def warning(self) -> str | None:
         """Why the arm must not go to the proposed posture; None where nothing is in its way."""
         proposed = self.proposed
@@ -78,7 +83,7 @@ class Recording:
         except CasacalError as error:
             return Answer(self.session, (str(error),))
         answer = answered(self.session, at, line, self.gauge, sent=sent)
-        if answer.change != "none" and self.file.sizes() != self._sizes:
+        if answer.change != "none" and self.overtaken:
             what = f"another program changed '{self.file.path}'"
             raise CasacalError(what, "End the other session, and go on with this command")
         if answer.change == "added":

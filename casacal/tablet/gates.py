@@ -10,19 +10,18 @@ from casacal.errors import SimulationError
 from casacal.model.instrument import readings_within
 from casacal.model.problem_text import FILL_IN
 from casacal.planning.candidates import cell_of
-from casacal.planning.route import joints_shown
+from casacal.planning.route import CHECK, joints_shown, touches_needed
 from casacal.planning.scene import scene
 from casacal.shopfloor.conversation import doubt, ended, help_words, in_units, waiting
 from casacal.shopfloor.recording import Recording
 from casacal.shopfloor.session import Session
 from casacal.shopfloor.touch import SHOWN, Touch, rows_of
 from casacal.simulation.cell import Cell
-from casacal.tablet.work import ORIENTATIONS, Work
+from casacal.tablet.work import ENOUGH_POSES, ORIENTATIONS, Work
 from casacal.wording import counted, figures
 
 PASSED, OPEN, AHEAD = "passed", "open", "ahead"
 """What a gate may be: done; to be done; not possible before another one."""
-ENOUGH_ROWS = 4  # of a pendant
 PURPOSES = {"fit": "", "again": "once more", "check": "kept to verify"}
 
 
@@ -90,7 +89,7 @@ def _cell(work: Work) -> dict[str, Any]:
 
 def _conventions(work: Work) -> dict[str, Any]:
     missing = (
-        f"{ENOUGH_ROWS} poses off the pendant tell whether its joints count as the problem says. An arm whose joints "
+        f"{ENOUGH_POSES} poses off the pendant tell whether its joints count as the problem says. An arm whose joints "
         "count the other way can fit every touch and be a mirror image"
     )
     confirmed = work.source.confirmed
@@ -156,7 +155,8 @@ def _doubt(session: Session) -> dict[str, Any] | None:
     can = [each.slip is not None for each in alarm.suspects]
     return {
         "what": what.removeprefix("warning: "),
-        "touches": list(dict.fromkeys(session.shown(each.touch) for each in alarm.suspects)),
+        "suspect": session.shown(alarm.touch),
+        "touches": list(dict.fromkeys(session.shown(k) for k in (alarm.raised_by, *(s.touch for s in alarm.suspects)))),
         "suspects": [{"words": words.strip(), "can": may} for words, may in zip(suspects, can, strict=True)],
     }
 
@@ -181,9 +181,9 @@ def _next(work: Work, recording: Recording) -> dict[str, Any]:
         proposed = recording.proposed if session.alarm is None else None
     except SimulationError as error:
         return {"next": None, "waiting": str(error)}
-    words = waiting(session, proposed, by_gauge=work._line is not None)
     if proposed is None:
-        return {"next": None, "waiting": words if session.alarm is not None else ""}
+        return {"next": None, "waiting": ""}
+    words = waiting(session, proposed, by_gauge=work._line is not None)
     expected = [
         f"{name} about {proposed.columns[name] * WRITTEN[kind][1]:.2f}{WRITTEN[kind][0].replace('_', ' ')}"
         for name, kind in layout.columns.items()
@@ -208,8 +208,11 @@ def _arm(work: Work, touch: Touch) -> dict[str, Any]:
 
 
 def _decide(work: Work) -> dict[str, Any]:
-    if work.recording is None or not len(work.recording.session):
-        return {"state": AHEAD, "missing": "Touches: the calibration is made from them"}
+    made = () if work.recording is None else [each for each in work.recording.session.touches if each.purpose != CHECK]
+    least = touches_needed(work.source.problem, rows_of(made)) if made else 1
+    if len(made) < least:
+        missing = f"Touches: {least} that are fitted, {len(made)} so far. The calibration is made from them"
+        return {"state": AHEAD, "missing": missing}
     if work.arm is None or work.arm.found.verdict is None:
         return {"state": OPEN, "missing": "The calibration: it says what the touches tell, and whether to use it"}
     verdict = work.arm.found.verdict
@@ -227,11 +230,13 @@ def _decide(work: Work) -> dict[str, Any]:
 def _verify(work: Work) -> dict[str, Any]:
     if work.arm is None:
         return {"state": AHEAD, "missing": "A calibration: it is judged by touches that it has not seen"}
-    if work.kept_promise is None:
+    if work.verified is None:
         missing = "The touches that were kept: whether the promise holds where nothing was fitted"
         return {"state": OPEN, "missing": missing}
-    missing = "" if work.kept_promise else "The promise was not kept, or the tolerance not met: see what to do next"
-    return {"state": PASSED if work.kept_promise else OPEN, "missing": missing}
+    found = work.verified
+    missing = "" if found.passed else "Touches that show the arm within the tolerance: these leave it open or deny it"
+    missing = missing if found.kept else "A promise that is kept: these touches are further off than it says"
+    return {"state": PASSED if found.passed else OPEN, "missing": missing}
 
 
 def _hand_over(work: Work) -> dict[str, Any]:
@@ -239,6 +244,6 @@ def _hand_over(work: Work) -> dict[str, Any]:
         return {"state": AHEAD, "missing": "A calibration: targets are corrected by it"}
     if work.arm.denial is not None:
         return {"state": AHEAD, "missing": f"A calibration that may be used. {work.arm.denial}"}
-    unverified = work.kept_promise is not True
-    missing = "Not verified yet: targets can be corrected, and nobody has checked them" if unverified else ""
+    verified = work.verified is not None and work.verified.passed
+    missing = "" if verified else "A verification: targets can be corrected, and nobody has checked what they rely on"
     return {"state": OPEN, "missing": missing, "caution": work.arm.caution}

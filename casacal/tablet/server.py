@@ -11,14 +11,19 @@ from __future__ import annotations
 import asyncio
 import hmac
 import json
+import os
+import re
 import secrets
 import socket
 from collections.abc import AsyncIterator, Mapping
+from contextlib import suppress
 from importlib import resources
 from ipaddress import ip_address
+from pathlib import Path
 from typing import Any
 
 from casacal.errors import CasacalError, RefusedResultError
+from casacal.files import writable
 from casacal.pages import space
 from casacal.tablet.gates import document, files
 from casacal.tablet.work import OutdatedError, Work
@@ -138,6 +143,7 @@ class Pages:
 
     def state(self, _: Request) -> Response:
         """All that is shown."""
+        self.work.look()
         return JSONResponse(document(self.work))
 
     def space(self, _: Request) -> Response:
@@ -232,6 +238,7 @@ def listening(host: str, port: int) -> socket.socket:
     place.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         place.bind((host, port))
+        place.listen()
     except (OSError, OverflowError) as error:
         place.close()
         what = f"Nothing can be served at {host}, port {port} ({getattr(error, 'strerror', None) or error})"
@@ -251,13 +258,27 @@ def address_of(host: str, port: int) -> str:
     return f"http://{f'[{host}]' if ':' in host else host}:{port}"
 
 
-def new_token() -> str:
-    """A token that nobody guesses: 128 random bits."""
-    return secrets.token_urlsafe(16)
+def token_of(folder: Path) -> str:
+    """The token that a folder keeps for its owner alone, or a new one: 128 random bits that nobody guesses.
+
+    Kept, so that the page of a tablet goes on after this program was ended and begun again.
+    """
+    file = folder / "page.token"
+    with suppress(OSError):
+        kept = file.read_text(encoding="ascii", errors="replace")
+        if re.fullmatch(r"[\w-]{22}", kept):
+            return kept
+    token = secrets.token_urlsafe(16)
+    with writable(file):
+        folder.mkdir(parents=True, exist_ok=True)
+        file.unlink(missing_ok=True)
+        with open(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as out:
+            out.write(token)
+    return token
 
 
 def server(work: Work, token: str, port: int) -> uvicorn.Server:
     """A server of the page, to be run on a socket of `listening`."""
     app = application(work, token=token, cookie=f"casacal_{port}")
-    settings: Mapping[str, Any] = {"log_level": "error", "timeout_graceful_shutdown": 1, "server_header": False}
+    settings: Mapping[str, Any] = {"log_level": "critical", "timeout_graceful_shutdown": 1, "server_header": False}
     return uvicorn.Server(uvicorn.Config(app, **settings))

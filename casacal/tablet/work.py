@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import binascii
+import math
 import tempfile
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -33,12 +34,14 @@ from casacal.shopfloor.gauges import Gauge, Inbox, SerialLine
 from casacal.shopfloor.recording import Recording, begun
 from casacal.shopfloor.session import Session
 from casacal.values import Array
+from casacal.verification.verification import Verification
+from casacal.wording import counted
 
 AGAIN = 0.05  # as `casacal plan`: parts of a plan that are repeated, and kept to verify
 CHECK = 0.15
 POOL = 3000
 MOST_TOUCHES = 500
-MOST_ROWS = 50  # poses off a pendant
+ENOUGH_POSES, MOST_ROWS = 4, 50  # off a pendant
 
 
 class OutdatedError(CasacalError):
@@ -96,7 +99,7 @@ class Work:
         self.recording: Recording | None = None
         self.arm: CalibratedArm | None = None
         self.errors: list[tuple[int, float]] = []  # expected tip error by number of touches
-        self.kept_promise: bool | None = None  # of the verification
+        self.verified: Verification | None = None
         self._scene: dict[str, Any] | None = None
         self._line, self._inbox = line, None if line is None else Inbox()
         if place.plan is not None or place.plan_file.is_file():
@@ -123,6 +126,7 @@ class Work:
         """
         steps: Mapping[str, Callable[[Mapping[str, Any]], dict[str, Any]]] = {
             "enter": self._enter,
+            "go_on": self._go_on,
             "ask": self._ask,
             "conventions": self._conventions,
             "plan": self._plan,
@@ -131,6 +135,7 @@ class Work:
             "correct": self._correct,
         }
         refuse_unknown("step", [step], steps)
+        self.look()
         with self.lock:
             if asked.get("version") != self.version:
                 raise OutdatedError(
@@ -139,6 +144,13 @@ class Work:
             if self.job is not None:
                 raise CasacalError(f"Still at work: {self.job}", "Wait until it is done")
             return steps[step](asked)
+
+    def look(self) -> None:
+        """Read anew what another program, such as `casacal measure`, has written to the file of touches."""
+        with self.lock:
+            if self.job is None and self.recording is not None and self.recording.overtaken:
+                self._begin()
+                self.version += 1
 
     def space(self) -> dict[str, Any]:
         """The cell and the planned postures in space, as `casacal.planning.scene` has them; {} before a plan."""
@@ -206,6 +218,15 @@ class Work:
             self._inbox.prompted()
         return {}
 
+    def _go_on(self, asked: Mapping[str, Any]) -> dict[str, Any]:
+        """Go on beyond the plan, with the touches that tell most, until the tip error is below what is wanted."""
+        if self.recording is None:
+            raise CasacalError("There is no plan yet", "Plan the touches first")
+        tolerance = number_of(asked, "tolerance", 0, 1000)
+        self.recording.session = replace(self.recording.session, tolerance=tolerance)
+        self.changed("measure", ())
+        return {}
+
     def _take(self, line: str, *, sent: bool) -> None:
         """Enter a line; what the session answers becomes what the gate says."""
         recording = self.recording
@@ -251,7 +272,11 @@ class Work:
         rows = read_pendant_rows(pendant_table(asked, robot.revolute.tolist()), robot.revolute.tolist())
         found = diagnose(robot, rows)
         said = diagnosis_text(found, robot.axes).split("\n\n")[0].strip().split("\n")
-        if found.certain and found.meanings[0].simplest == Conventions.plain(len(robot.axes)):
+        best = found.meanings[0] if found.meanings else None
+        if best is not None and (best.length_unit != "mm" or best.joint_unit != "deg"):
+            what = f"The poses fit with joints in {best.joint_unit} and lengths in {best.length_unit}"
+            raise CasacalError(what, "Copy joint values in degrees and lengths in mm")
+        if found.certain and best is not None and best.simplest == Conventions.plain(len(robot.axes)):
             if self.source.path:
                 keep_conventions(self.source, file="the page beside the robot", poses=found.postures)
                 self.source = replace(self.source)  # which reads anew what was kept
@@ -274,12 +299,17 @@ class Work:
         def run() -> None:
             from casacal.planning.handouts import sheet_page
             from casacal.planning.plan import cell_words, plan, plan_sentences, plan_text, touches_for
+            from casacal.planning.route import touches_needed
             from casacal.planning.set_ups import set_ups
 
             problem, cell, clearance = self.source.problem, self.source.cell, self.place.clearance
             count = int(touches or touches_for(problem, cell, tolerance, clearance=clearance, again=AGAIN, check=CHECK))
             made = plan(problem, cell, touches=count, pool=POOL, again=AGAIN, check=CHECK, clearance=clearance)
             fitted = made.purposes.count("fit")
+            if (rows := len(made) - made.purposes.count("check")) < (least := touches_needed(problem, made.samples)):
+                what = f"Of {count} touches {rows} are fitted, and a calibration takes {least} for all unknowns"
+                wanted = math.ceil(1.5 * least)  # some are kept to verify, and more faces have more unknowns
+                raise CasacalError(what, f"Ask for {wanted} or more, or leave the number empty")
             faced = problem.instrument.probe is not None and fitted <= POOL
             compared = set_ups(problem, cell, touches=fitted, clearance=clearance) if faced else ()
             said, name = cell_words(made, problem, clearance), self.source.name
@@ -319,7 +349,7 @@ class Work:
 
                 said += ["Since the earlier calibration:", *changed(self.place.since, samples).summary().split("\n")]
             with self.lock:
-                self.arm, self.kept_promise = read_result(self.place.fit), None
+                self.arm, self.verified = read_result(self.place.fit), None
                 self.said.pop("verify", None)
             self.changed("decide", [line.strip() for line in said if line.strip()])
 
@@ -340,7 +370,7 @@ class Work:
             write_text(self.place.folder / "verified.html", found.page(), own=True)
             said = found.summary(whole=False).split("\n")
             with self.lock:
-                self.kept_promise = found.passed
+                self.verified = found
             self.changed("verify", said + ([] if arm.mirror_words is None else [arm.mirror_words]))
 
         return self._run("verify", "verifying", run)
@@ -424,8 +454,8 @@ def pendant_table(asked: Mapping[str, Any], turns: Sequence[bool]) -> Table:
         if cells:
             rows.append(cells)
             lines.append(number)
-    if not 0 < len(rows) <= MOST_ROWS:
-        raise CasacalError(f"Got {len(rows)} poses", f"Give three or more, at most {MOST_ROWS}")
+    if not ENOUGH_POSES <= len(rows) <= MOST_ROWS:
+        raise CasacalError(f"Got {counted(len(rows), 'pose')}", f"Give {ENOUGH_POSES} or more, at most {MOST_ROWS}")
     return Table("the page", "", header, 0, tuple(rows), tuple(lines), decimal_comma=False)
 
 

@@ -3,6 +3,7 @@
 import base64
 import csv
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -30,7 +31,7 @@ from casacal.planning.scene import scene
 from casacal.shopfloor.controllers import controller
 from casacal.shopfloor.gauges import gauge
 from casacal.tablet.gates import document
-from casacal.tablet.server import address_of, is_this_machine, listening, server
+from casacal.tablet.server import address_of, is_this_machine, listening, server, token_of
 from casacal.tablet.work import OutdatedError, Work, Workplace, number_of, pendant_table, uploaded
 
 PLAIN = gauge("plain")
@@ -231,9 +232,10 @@ def test_page_and_terminal_take_turns_on_one_file(workplace, planned, hsr, tmp_p
         monkeypatch.setattr("sys.stdin", lines)
         main(command)
     assert "Going on after 5 touches" in capsys.readouterr().out
-    with pytest.raises(CasacalError, match="another program changed"):  # which the page has not seen
+    with pytest.raises(OutdatedError):  # the page has not shown yet what the terminal wrote
         enter(work, well_made(world, 6))
-    again = Work(workplace)
+    assert document(work)["gates"]["measure"]["made"] == 10
+    again = work
     enter(again, well_made(world, 11))
     in_one = Work(replace(workplace, folder=tmp_path / "one"))
     for number in range(1, 12):
@@ -338,6 +340,52 @@ def test_the_whole_way_without_a_browser(hsr, planned, tmp_path):
         work.do("correct", {"version": work.version, "files": sent})
 
 
+def test_too_few_touches_are_said_before_anybody_makes_them(hsr, planned, tmp_path):
+    """At the plan, and of a plan from elsewhere until enough are made; `go_on` finds more beyond the plan."""
+    work = Work(Workplace(hsr, tmp_path / "work", PLAIN, 0.0, Clearance()))
+    work.do("plan", {"version": work.version, "touches": "20", "tolerance": ""})
+    wait(work)
+    assert work.failed["plan"]
+    assert re.search(r"17 are fitted, and a calibration takes (\d+)", work.said["plan"][0])
+    asked = re.search(r"Ask for (\d+) or more", work.said["plan"][0])[1]
+    assert not (tmp_path / "work" / "plan.csv").exists()
+    work.do("plan", {"version": work.version, "touches": asked, "tolerance": ""})
+    wait(work)
+    assert not work.failed["plan"]
+    other = Work(Workplace(hsr, tmp_path / "other", PLAIN, 0.0, Clearance(), plan=planned[0]))
+    for number in range(1, 11):
+        enter(other, well_made(planned[1], number))
+    gate = document(other)["gates"]["decide"]
+    assert gate["state"] == "ahead"
+    assert re.search(r"\d+ that are fitted, \d+ so far", gate["missing"])
+    for number in range(11, 37):
+        enter(other, well_made(planned[1], number))
+        while other.recording.session.alarm is not None:
+            enter(other, "k")
+    assert document(other)["gates"]["measure"]["next"] is None
+    other.do("go_on", {"version": other.version, "tolerance": "0.01"})
+    assert document(other)["gates"]["measure"]["next"]["number"] is None
+    assert document(other)["gates"]["measure"]["next"]["arm"] is not None
+
+
+def test_the_posture_of_another_touch_is_not_taken_for_this_one(workplace, planned):
+    work = Work(workplace)
+    joints = work.recording.session.plan.samples.joints
+    enter(work, " ".join([*(f"{value:.6f}" for value in np.degrees(joints[4])), "1.0"]))
+    assert len(work.recording.session) == 0
+    assert "joint values of touch 5" in work.said["measure"][0]
+
+
+def test_the_token_stays_with_the_folder_and_its_owner(tmp_path):
+    token = token_of(tmp_path / "work")
+    assert len(token) == 22
+    assert token_of(tmp_path / "work") == token
+    assert (tmp_path / "work" / "page.token").stat().st_mode & 0o77 == 0
+    (tmp_path / "work" / "page.token").write_text("short")
+    assert token_of(tmp_path / "work") not in (token, "short")
+    assert token_of(tmp_path / "other") != token
+
+
 def rows_of(text):
     return list(csv.reader(line for line in text.splitlines() if not line.startswith("#")))
 
@@ -356,7 +404,7 @@ def test_what_is_no_number_of_a_field(text):
 
 
 def test_pendant_rows_become_columns_with_units():
-    rows = "1;2;3;4;5;6;100;200;300;0.1;0.2;0.3\n\n 1 2 3 4 5 6  100 200 300 0.1 0.2 0.3 \n"
+    rows = "1;2;3;4;5;6;100;200;300;0.1;0.2;0.3\n\n" + 3 * " 1 2 3 4 5 6  100 200 300 0.1 0.2 0.3 \n"
     table = pendant_table({"form": "rxyz", "rows": rows}, [True] * 5 + [False])
     assert table.header == (
         *(f"q{k}_deg" for k in range(1, 6)),
@@ -368,11 +416,12 @@ def test_pendant_rows_become_columns_with_units():
         "ry_rad",
         "rz_rad",
     )
-    assert len(table.rows) == 2
-    assert table.lines == (1, 3)
+    assert len(table.rows) == 4
+    assert table.lines == (1, 3, 4, 5)
     for form, text, words in (
         ("rxyz", "1 2 3", "Line 1 has 3 numbers, not 12"),
         ("rxyz", "", "Got 0 poses"),
+        ("rxyz", rows.partition("\n")[0], "Got 1 pose"),
         ("euler", "1", "euler"),
     ):
         with pytest.raises(CasacalError, match=words):
@@ -398,6 +447,12 @@ def test_four_poses_confirm_the_conventions_once(hsr, planned, tmp_path):
     assert work.failed["conventions"]
     assert document(work)["gates"]["conventions"]["state"] == "open"
     assert not (folder / "conventions.json").exists()
+    metres = [
+        " ".join([*row.split()[:6], *(f"{float(v) / 1000:.9f}" for v in row.split()[6:9]), *row.split()[9:]])
+        for row in lines[1]
+    ]
+    with pytest.raises(CasacalError, match=r"lengths in m\b"):
+        work.do("conventions", {"version": work.version, "form": "rxyz", "rows": "\n".join(metres)})
     work.do("conventions", {"version": work.version, "form": "rxyz", "rows": "\n".join(lines[1])})
     assert document(work)["gates"]["conventions"]["state"] == "passed"
     assert load_problem(folder).confirmed

@@ -113,7 +113,6 @@ function showCell(gate) {
 }
 
 function showConventions(gate) {
-  $("pendant").hidden = gate.state === "passed";
   $("rows-joints").hidden = !state.gates.measure.controller;
   const turned = { quaternion: "qw qx qy qz", rxyz: "RX RY RZ (rad)", rxyz_deg: "RX RY RZ" }[$("form").value];
   $("order").textContent = `${state.joints.join(" ")} x y z ${turned || "three angles"}`;
@@ -153,6 +152,7 @@ function showMeasure(gate) {
   const list = [...gate.touches].reverse();
   $("made").replaceChildren(...list.map((each) => el("tr", ["number", "where", "read", "purpose", "state"].map(
     (name) => el("td", each[name])), each.state === "in doubt" ? { class: "doubt" } : {})));
+  $("going-on").hidden = gate.ended.length === 0;
   $("progress").replaceChildren(...progress(gate));
   if (gate.ended.length) $("progress").append(el("ul", gate.ended.map((words) => el("li", words)), { class: "said" }));
 }
@@ -174,7 +174,7 @@ function doubtful(doubt) {
     parts.push(line);
   });
   const back = doubt.touches.flatMap((number) => [button(`Take touch ${number} back`, `u ${number}`), " "]);
-  parts.push(el("p", [...back, button(`Keep touch ${doubt.touches[0]} as it is`, "k")]));
+  parts.push(el("p", [...back, button(`Keep touch ${doubt.suspect} as it is`, "k")]));
   return parts;
 }
 
@@ -222,10 +222,10 @@ function showDecision(gate) {
   const reasons = [...(gate.reasons || []), ...(gate.mirror ? [gate.mirror] : [])].filter((each) => !(gate.words || "").includes(each));
   $("reasons").replaceChildren(...reasons.map((words) => el("li", words)));
   $("calibrate").hidden = gate.state === "ahead";
-  const there = state.files.includes("report.html"), made = `/file/report.html?${state.version}`;
-  if (there && gateShown() === "decide" && state.job === null && $("report").dataset.words !== gate.words) {
+  const there = state.files.includes("report.html"), old = $("report").dataset.words === gate.words;
+  if (there && gateShown() === "decide" && state.job === null && !old) {
     $("report").dataset.words = gate.words;
-    $("report").src = made;
+    $("report").src = `/file/report.html?${state.version}`;
   }
   $("report").hidden = !there;
 }
@@ -281,6 +281,7 @@ submitted("reading-form", async () => {
   $("reading").focus();
   $("reading").select();
 });
+submitted("going-on", () => step("go_on", { tolerance: $("wanted").value }));
 submitted("planning", () => step("plan", { touches: $("touches").value, tolerance: $("plan-tolerance").value }));
 submitted("pendant", () => step("conventions", { form: $("form").value, rows: $("rows").value }));
 submitted("verification", () => step("verify", { tolerance: $("verify-tolerance").value }));
@@ -295,8 +296,7 @@ submitted("correction", async () => {
   if (found === null) return;
   const made = found.files.map(({ name, data }) => {
     const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
-    const link = el("a", `Save ${name}`, { href: URL.createObjectURL(new Blob([bytes])), download: name });
-    return el("li", [link]);
+    return el("li", [el("a", `Save ${name}`, { href: URL.createObjectURL(new Blob([bytes])), download: name })]);
   });
   $("corrected").replaceChildren(...made, ...found.said.map((words) => el("li", words)));
 });
@@ -320,7 +320,10 @@ window.addEventListener("hashchange", () => {
 function listen() {
   const events = new EventSource("/events");
   events.onmessage = (event) => { if (state === null || Number(event.data) !== state.version) refresh(); };
-  events.onerror = () => { if (!$("trouble").textContent) $("trouble").textContent = LOST; };
+  events.onerror = () => {
+    if (!$("trouble").textContent) $("trouble").textContent = LOST;
+    if (events.readyState === EventSource.CLOSED) setTimeout(() => { refresh(); listen(); }, 2000);
+  };
   events.onopen = () => { state = null; refresh(); };
 }
 setInterval(async () => {
