@@ -91,6 +91,18 @@ def test_so_many_more_rows_settle_it_four_times_in_five():
     assert decide(a_scatter(0.0159**2 + 1e-4), 30, 0.016, RISK).further_rows is None
 
 
+def test_so_many_more_rows_reject_it_four_times_in_five():
+    """Of an arm that is beyond the tolerance by as little as rows of this number cannot tell."""
+    scatter = a_scatter(0.019**2 + 1e-4, freedom=20.0)
+    one = decide(scatter, 20, 0.016, RISK)
+    assert one.verdict == "undecided"
+    more = 20 + one.further_rows
+    rng = np.random.default_rng(2)
+    measured = np.sqrt(np.maximum(scatter.square * rng.chisquare(more, 100_000) / more - scatter.noise, 0))
+    settled = measured >= a_scatter(scatter.square, freedom=more).reject_above_mm(0.016, RISK)
+    assert 0.8 - 0.005 < settled.mean() < 0.8 + 0.01
+
+
 def test_acceptance_says_whether_it_rests_on_the_noise():
     firm, weak = decide(a_scatter(1.1e-4), 30, 0.05, RISK), decide(a_scatter(1.1e-4), 30, 0.011, RISK)
     assert (firm.verdict, firm.rests_on_noise) == ("accept", False)
