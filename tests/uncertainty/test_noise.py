@@ -166,6 +166,13 @@ def test_a_face_that_is_worse_than_others_gets_its_own_noise(hsr):
     noise = found_noise(bind(hsr.problem, samples))
     assert noise.scale["wall"] == pytest.approx(8.0, rel=0.15)
     assert max(noise.scale["floor"], noise.scale["side"]) < 1.2
+    # and is what residuals of its rows say, over their number less what the fit took up, by dense matrices
+    again = bind(hsr.problem, samples).with_noise(noise.scale)
+    x = lm(again).x
+    jacobian, prior = again.jacobian(x), 1 / again.prior_std**2
+    taken = np.einsum("ij,ji->i", jacobian, np.linalg.solve(jacobian.T @ jacobian + np.diag(prior), jacobian.T))
+    square = (again.residual(x)[worse] ** 2).sum() / (len(worse) - taken[worse].sum())
+    assert square == pytest.approx(1.0, abs=0.05)
 
 
 @pytest.mark.parametrize("seed", range(8))
