@@ -42,6 +42,7 @@ def document(work: Work) -> dict[str, Any]:
             gate |= {"said": list(work.said.get(name, ())), "failed": work.failed.get(name, False)}
         return {
             "version": work.version,
+            "run": work.run,
             "job": work.job,
             "name": work.source.name,
             "robot": problem.robot.name,

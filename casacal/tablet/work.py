@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import binascii
 import math
+import secrets
 import tempfile
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -92,7 +93,7 @@ class Work:
 
     def __init__(self, place: Workplace, *, line: SerialLine | None = None) -> None:
         self.place, self.source = place, place.source
-        self.lock, self.version = threading.RLock(), 0
+        self.lock, self.version, self.run = threading.RLock(), 0, secrets.token_hex(4)
         self.job: str | None = None
         self.said: dict[str, tuple[str, ...]] = {}  # the last words of each gate
         self.failed: dict[str, bool] = {}  # whether these say what went wrong
@@ -394,6 +395,8 @@ class Work:
                 run()
             except CasacalError as error:
                 self.changed(gate, (str(error),), failed=True)
+            except Exception as error:  # nobody foresaw it; a window that waits must not be left without a word
+                self.changed(gate, (f"This failed for a reason that is not foreseen ({error!r})",), failed=True)
             finally:
                 with self.lock:
                     self.job = None

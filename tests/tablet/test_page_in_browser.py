@@ -212,6 +212,7 @@ def test_a_session_of_forty_touches(browser, serve, planned, tmp_path):
     page.until(lambda: page.part("#space-view").get_attribute("data-engine"), "the picture in space")
     browser.switch_to.default_content()
     page.go("verify")
+    page.until(lambda: page.part("#verification button").is_enabled(), "the end of what was at work")
     page.part("#verification button").click()
     page.until(lambda: "Promise" in page.text("#verify .said"), "a verification")
     page.go("hand_over")

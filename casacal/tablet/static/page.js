@@ -73,7 +73,7 @@ function gateShown() {
 }
 
 function show(next) {
-  if (state !== null && next.version < state.version) return;
+  if (state !== null && next.run === state.run && next.version < state.version) return;
   state = next;
   document.title = `casacal: ${state.name}`;
   $("name").textContent = `${state.name} · ${state.robot}`;
@@ -324,7 +324,7 @@ function listen() {
     if (!$("trouble").textContent) $("trouble").textContent = LOST;
     if (events.readyState === EventSource.CLOSED) setTimeout(() => { refresh(); listen(); }, 2000);
   };
-  events.onopen = () => { state = null; refresh(); };
+  events.onopen = refresh;
 }
 setInterval(async () => {
   if (state === null || !state.gates.measure.controller || gateShown() !== "measure") return;
