@@ -135,8 +135,8 @@ def _measure(work: Work) -> dict[str, Any]:
         "tolerance": session.tolerance,
         "touches": [_made(session, k) for k in range(len(session))],
         "reads": list(session.problem.layout().columns),
-        "gauge": work.place.gauge.name if work._line is not None else None,
-        "asks": bool(work.place.gauge.asks) and work._line is not None,
+        "gauge": work.place.gauge.name if work.line is not None else None,
+        "asks": bool(work.place.gauge.asks) and work.line is not None,
         "controller": work.place.stands is not None,
         "help": help_words(session.problem),
     }
@@ -184,7 +184,7 @@ def _next(work: Work, recording: Recording) -> dict[str, Any]:
         return {"next": None, "waiting": str(error)}
     if proposed is None:
         return {"next": None, "waiting": ""}
-    words = waiting(session, proposed, by_gauge=work._line is not None)
+    words = waiting(session, proposed, by_gauge=work.line is not None)
     expected = [
         f"{name} about {proposed.columns[name] * WRITTEN[kind][1]:.2f}{WRITTEN[kind][0].replace('_', ' ')}"
         for name, kind in layout.columns.items()

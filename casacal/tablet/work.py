@@ -102,7 +102,7 @@ class Work:
         self.errors: list[tuple[int, float]] = []  # expected tip error by number of touches
         self.verified: Verification | None = None
         self._scene: dict[str, Any] | None = None
-        self._line, self._inbox = line, None if line is None else Inbox()
+        self.line, self._inbox = line, None if line is None else Inbox()
         if place.plan is not None or place.plan_file.is_file():
             self._begin()
         if (place.fit / "result.json").is_file():
@@ -257,10 +257,10 @@ class Work:
                 self._inbox.prompted()
 
     def _ask(self, _: Mapping[str, Any]) -> dict[str, Any]:
-        if self._line is None or self._inbox is None or not self.place.gauge.asks:
+        if self.line is None or self._inbox is None or not self.place.gauge.asks:
             raise CasacalError("No gauge that can be asked is connected", "Type the reading")
         self._inbox.take_next()
-        self._line.ask(self.place.gauge.asks, self._inbox)
+        self.line.ask(self.place.gauge.asks, self._inbox)
         return {}
 
     def _conventions(self, asked: Mapping[str, Any]) -> dict[str, Any]:

@@ -546,3 +546,24 @@ def test_options_that_are_none_are_sentences(options, words, planned, tmp_path, 
     with_plan = [] if "--plan" in options else ["--plan", str(planned[0])]
     assert main(["serve", str(ROOT / "problems" / "hsr_jr680"), "--port", "0", *options, *with_plan]) == 2
     assert words in capsys.readouterr().err
+
+
+def test_what_nobody_foresaw_is_said_and_the_next_step_works(workplace, planned, monkeypatch):
+    """A verification that falls over leaves words, and no window waits for ever."""
+
+    def fall(*_, **__):
+        raise ZeroDivisionError("planted")
+
+    work = Work(workplace)
+    for number in range(1, 37):
+        enter(work, well_made(planned[1], number))
+        while work.recording.session.alarm is not None:
+            enter(work, "k")
+    monkeypatch.setattr("casacal.calibration.calibrate.calibrate", fall)
+    work.do("calibrate", {"version": work.version})
+    wait(work)
+    gate = document(work)["gates"]["decide"]
+    assert gate["failed"]
+    assert "not foreseen (ZeroDivisionError('planted'))" in gate["said"][0]
+    enter(work, "u")
+    assert len(work.recording.session) == 35
