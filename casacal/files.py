@@ -29,6 +29,7 @@ MADE = f"written by casacal {__version__}"
 """Mark of a file that casacal wrote: in a comment near its beginning or at its end, or as a JSON key (`BY`)."""
 
 BY, LOOKED_AT = "written_by", 8192
+UNSEALED = ("seal", "seconds", BY)  # keys of a sealed document that may change
 MARKS = re.compile(
     rb"(?m)^[ \t]*(?:#|[!;*]|//|<!--) ?(?:[^\n]*[ (])?written by casacal (?:\d|compensate:|demo|study|bench|for )"
     rb'|\A"""[^\n]*; written by casacal \d'
@@ -172,6 +173,19 @@ def jsonable(value: Any) -> Any:
 
 
 PREFIX = ".casacal-"
+
+
+def sealed(document: Mapping[str, Any]) -> dict[str, Any]:
+    """The document with its seal, made anew where it has one."""
+    keys = sorted(key for key in document if key not in UNSEALED)
+    kept = {key: item for key, item in document.items() if key != "seal"}
+    return {**kept, "seal": {"of": keys, "sha256": seal_of(jsonable(kept), keys)}}
+
+
+def seal_of(document: Mapping[str, Any], keys: Sequence[str]) -> str:
+    """SHA-256 of some keys of a document in JSON's own types."""
+    guarded = [list(keys), {key: document[key] for key in keys if key in document}]
+    return hashlib.sha256(json.dumps(guarded, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 @contextmanager

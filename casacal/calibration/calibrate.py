@@ -12,17 +12,16 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from casacal.calibration.as_arm import AsArm
 from casacal.calibration.before_fit import labels_alike
 from casacal.calibration.calibrated import Calibrated
 from casacal.calibration.finding import Finding
 from casacal.calibration.inputs import Method, Progress, Reference, chosen, estimate, problem_from, samples_from
 from casacal.calibration.motion import tried_corrections
-from casacal.calibration.saved import AsArm
 from casacal.calibration.set_aside import gross
 from casacal.data.holdout import split_each
 from casacal.data.repeats import without_copies
 from casacal.data.samples import Measurements, Samples
-from casacal.deployment.arm import CalibratedArm
 from casacal.effects.compliance import LinkSag
 from casacal.effects.kit import with_link_kit
 from casacal.effects.selection import with_effects
@@ -44,6 +43,7 @@ from casacal.wording import counted, listed
 
 if TYPE_CHECKING:
     from casacal.calibration.earlier import RowsSince
+    from casacal.deployment.arm import CalibratedArm
 
 _LOG = logging.getLogger("casacal")
 TRIED = 100  # steps within which a fit of an arm ends, twenty times what it needs, unless nothing holds its unknowns

@@ -11,13 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from casacal.calibration.as_arm import AsArm, parameter_table
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.motion import Motion, Sensitivity
+from casacal.calibration.motion import Motion
 from casacal.calibration.result_json import calibration_document, found_part, parameter_rows
-from casacal.calibration.saved import AsArm, parameter_table
-from casacal.calibration.summary import summary
 from casacal.calibration.verdict import WithVerdict
-from casacal.deployment.arm import CalibratedArm
 from casacal.effects.selection import DialError, LeftOut
 from casacal.effects.trusted import Leverage
 from casacal.errors import CasacalError
@@ -31,6 +29,9 @@ from casacal.wording import figures
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from casacal.calibration.sensitivity import Sensitivity
+    from casacal.deployment.arm import CalibratedArm
 
 
 FILES = ("report.html", "result.json", "parameters.csv", "residuals.png", "convergence.png")
@@ -177,6 +178,8 @@ class Calibrated(WithVerdict, AsArm):
     @cached_property
     def arm(self) -> CalibratedArm:
         """The calibrated arm: the problem, and what was found of it."""
+        from casacal.deployment.arm import CalibratedArm
+
         return CalibratedArm("this calibration", self.source, jsonable(found_part(self)))
 
     def to_dict(self) -> dict[str, Any]:
@@ -239,6 +242,8 @@ class Calibrated(WithVerdict, AsArm):
 
     def summary(self) -> str:
         """Text of `casacal calibrate --verbose`: verdict, residuals, accuracy, parameters, unobserved directions."""
+        from casacal.calibration.summary import summary
+
         return summary(self, self.source.name)
 
     def plot_residuals(self, ax: Any = None) -> Any:

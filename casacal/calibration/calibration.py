@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from casacal.calibration.before_fit import outside, rounded, sign_before_fit
-from casacal.calibration.conventions import mirror_image
 from casacal.calibration.finding import Finding
 from casacal.calibration.inputs import Reference
-from casacal.calibration.motion import Motion, Sensitivity, Tried, among, sees_the_tip, sensitivity, used_arm
+from casacal.calibration.mirror import mirror_image
+from casacal.calibration.motion import Motion, Tried, among, sees_the_tip, used_arm
 from casacal.calibration.numbers import borne_out, priors_of, tool_elsewhere_at, wrong_number, wrong_scale
-from casacal.calibration.set_aside import disagreement, not_the_same
 from casacal.data.repeats import without_copies
 from casacal.data.samples import Measurements, Samples
 from casacal.deployment.result import MirrorImage
@@ -62,6 +61,7 @@ from casacal.wording import listed
 
 if TYPE_CHECKING:
     from casacal.calibration.earlier import EarlierResult
+    from casacal.calibration.sensitivity import Sensitivity
 
 HARMLESS = 0.01  # tip motion (mm under the prior) below which an unseen direction needs no cure
 FAR = 4.0  # prior standard deviations beyond which a parameter has moved too far: one clean arm in several hundred does
@@ -483,6 +483,8 @@ class Calibration(Value):
     @cached_property
     def sensitivity(self) -> Sensitivity:
         """How estimate and tip follow every reading and prior; raises CasacalError where it is no minimum."""
+        from casacal.calibration.sensitivity import sensitivity
+
         (_, tips, slopes), arm = self.workspace, self.motion.arm
         field = np.zeros((tips.size, self.fit.unknowns))
         field[:, arm.free if isinstance(arm, ArmAlone) else slice(None)] = without_rigid(slopes, tips)
@@ -513,8 +515,11 @@ class Calibration(Value):
         """Errors where instruments differ in what they share or expect, or all lengths have a common scale error."""
         if not self.result.converged:
             return ()
-        shared = not_the_same(self.fit, self.result) if self.fit.problem.shared else []
-        shared = shared or disagreement(self.bare)
+        shared = list[Finding]()
+        if len(self.fit.samples) > 1:
+            from casacal.calibration.agreement import disagreement, not_the_same
+
+            shared = (not_the_same(self.fit, self.result) if self.fit.problem.shared else []) or disagreement(self.bare)
         return (*shared, *wrong_scale(self.seen, self.seen_x, self.covariance))
 
     @property

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from casacal.calibration.agreement import disagreement, not_the_same
 from casacal.calibration.before_fit import (
     NO_LENGTH,
     OUTSIDE,
@@ -23,15 +24,14 @@ from casacal.calibration.before_fit import (
     sign_before_fit,
     upside_down,
 )
-from casacal.calibration.conventions import CONVENTIONS, mirror_image
+from casacal.calibration.conventions import CONVENTIONS
 from casacal.calibration.faults import ALIKE, EXPLAINED, MOVED, SUSPICIOUS, MisfitCause, cause_of_rows, explained, flips
 from casacal.calibration.finding import Finding, misfit, quick_fit, size_of
 from casacal.calibration.midway import changed_midway, labels_exchanged
+from casacal.calibration.mirror import mirror_image
 from casacal.calibration.numbers import tool_elsewhere_at, tool_keys, without_its_likes, wrong_number, wrong_scale
 from casacal.calibration.set_aside import (
-    disagreement,
     gross,
-    not_the_same,
     off_their_face,
     robust_fit,
     single_rows,

@@ -1,19 +1,13 @@
-"""Joints counted otherwise than the problem says: conventions of makers, and mirror images that no touch can tell.
+"""Joints counted otherwise than the problem says, as their makers count them.
 
-Makers: signs of all joints, quarter turns of those in the middle, joint 3 measured against joint 2: some 50,000
-patterns. What the first joints do to a point does not depend on the others, so the tips of all come of a few matrix
-products. Each is judged by what the tips leave of a shape: points of a tracker are an affine image of them, touches of
-a face lie on a plane, those of a sphere and the ends of a wire on a quadric. The best few are then fitted.
-
-Mirror images: faces, spikes and wires tell distances, and a mirror keeps those. Many arms are their own image: if the
-axes lie in one plane in some posture, joints 1, 4 and 6 counted the other way reflect every tip; others need half turns
-besides. Touches then fit to the last digit, joint targets are corrected rightly, and yet every Cartesian position is
-that of the image. Only poses off the pendant tell which of both it is.
+Signs of all joints, quarter turns of those in the middle, joint 3 measured against joint 2: some 50,000 patterns. What
+the first joints do to a point does not depend on the others, so the tips of all come of a few matrix products. Each is
+judged by what the tips leave of a shape: points of a tracker are an affine image of them, touches of a face lie on a
+plane, those of a sphere and the ends of a wire on a quadric. The best few are then fitted.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -22,17 +16,13 @@ import numpy as np
 
 from casacal.calibration.finding import Fault, Undone
 from casacal.data.samples import Samples
-from casacal.deployment.result import MirrorImage
 from casacal.errors import CasacalError
-from casacal.fit.bound_problem import BoundProblem
-from casacal.fit.lm import lm
 from casacal.fit.nominal import nominal_sight
 from casacal.model.axes import Axes, axes_of
 from casacal.model.joints import Conventions
 from casacal.model.problem import Problem
 from casacal.model.problem_text import conventions_line
 from casacal.model.robot import Robot, inside_limits
-from casacal.uncertainty.tip_error import workspace_joints
 from casacal.values import Array, Index
 
 MOST_JOINTS = 7
@@ -43,14 +33,6 @@ BETTER, NEAR = 0.25, 3.0  # part of what the plain pattern leaves, and times the
 FITTED = 8  # patterns that are fitted, the simplest first
 BEYOND_LIMITS = 20  # changes that a pattern must spare to be believed though joints leave their limits
 CONVENTIONS = "joint conventions"
-POSTURES = 8  # where tips are compared; five points in space already tell an image from a turn
-MOST_PATTERNS = 1 << 15  # beyond which half turns are left out: two arms that face each other have 12 joints
-AKIN = 0.01  # misfit of the image over the spread of the tips, below which parameters may make up for the rest
-APART = 1.0  # mm by which a rigid motion must miss the image; an arm in a plane is its own
-EQUAL = 12.0  # difference of the costs below which rows and priors do not tell one from the other: odds of e^12
-IMAGE_ROWS = 1000  # of the samples that are fitted: an image fits as well, or is off by thousands
-MORE_STEPS = 20  # than the arm itself takes, after which a pattern is no image: an image is as near to its drawing
-MOST_FITS = 12  # patterns that are fitted, the simplest first
 
 
 def patterns(problem: Problem, samples: Samples) -> Iterator[Fault]:
@@ -187,61 +169,3 @@ def _in_words(joint: int, pattern: Index) -> str:
     terms = [(sign * factor, f"q{joint}"), (sign, f"q{joint + 1}"), (quarter, f"{90 * abs(quarter)}")]
     plus, minus = (" + ".join(name for value, name in terms if value > 0), [name for value, name in terms if value < 0])
     return f"q{joint + 1} as {' - '.join([plus, *minus]) if plus else '-' + ' - '.join(minus)}"
-
-
-def mirror_image(fit: BoundProblem) -> MirrorImage | None:
-    """The simplest other conventions whose cost is the same to within EQUAL, or lower, and whose arm is a mirror image.
-
-    None where there is none: an instrument that sees poses, say, or joint limits, tell them apart.
-    """
-    fit, robot, own = fit.thinned(IMAGE_ROWS), fit.problem.robot, None
-    signs, offsets = mirrors(robot)
-    joints = workspace_joints(robot, poses=POSTURES)
-    drawn = fit.tips(fit.x0, joints)
-    tips = fit.tips(fit.x0, (signs[:, None] * joints + offsets[:, None]).reshape(-1, len(robot.axes)))
-    tips = tips.reshape(len(signs), POSTURES, 3)
-    closed = np.isfinite(tips).all(axis=(1, 2))  # the loops of a closed chain may have no such image
-    signs, offsets = signs[closed], offsets[closed]
-    off, moved_off = misfits(tips[closed], drawn)
-    spread = math.sqrt(float(((drawn - drawn.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    found = np.flatnonzero((off <= AKIN * spread) & (moved_off >= max(APART, 2 * AKIN * spread)))
-    changes = (signs[found] < 0).sum(axis=1) + (offsets[found] > 0).sum(axis=1)
-    numbers = np.arange(1, len(robot.axes) + 1)
-    for k in found[np.argsort(changes, kind="stable")][:MOST_FITS]:
-        turned = [replace(some, joints=some.joints * signs[k] + offsets[k]) for some in fit.measured.sets]
-        if not all(inside_limits(robot, some.joints).all() for some in turned):
-            continue
-        own = lm(fit) if own is None else own
-        image = lm(fit.on(*turned), max_steps=own.steps + MORE_STEPS)
-        if image.converged and image.cost - own.cost <= EQUAL:
-            other_way, halves = (tuple(numbers[each].tolist()) for each in (signs[k] < 0, offsets[k] > 0))
-            return MirrorImage(other_way, halves, float(moved_off[k]))
-    return None
-
-
-def mirrors(robot: Robot) -> tuple[Array, Array]:
-    """Signs (k, n) and offsets (k, n; rad) to try.
-
-    Half a turn of the first joint only turns the base, half a turn of the last only the flange: neither is tried.
-    """
-    count = len(robot.axes)
-    free = [j for j in range(1, count - 1) if robot.axes[j].turns]
-    if 1 << (count + len(free)) > MOST_PATTERNS:
-        free = []
-    if 1 << count > MOST_PATTERNS:
-        return np.ones((0, count)), np.zeros((0, count))
-    signs = np.array(list(itertools.product((1.0, -1.0), repeat=count)))
-    halves = np.zeros((1 << len(free), count))
-    halves[:, free] = list(itertools.product((0.0, math.pi), repeat=len(free)))
-    return np.repeat(signs, len(halves), axis=0), np.tile(halves, (len(signs), 1))
-
-
-def misfits(tips: Array, drawn: Array) -> tuple[Array, Array]:
-    """RMS distance (k,) of sets of tips (k, N, 3) from the drawn ones (N, 3): with any isometry, and with a motion."""
-    those, these = tips - tips.mean(axis=1, keepdims=True), drawn - drawn.mean(axis=0)
-    left, sizes, right = np.linalg.svd(those.transpose(0, 2, 1) @ these)
-    squares = (those**2).sum(axis=(1, 2)) + (these**2).sum()
-    proper = np.where(np.linalg.det(left @ right) < 0, -1.0, 1.0)
-    alike = squares - 2 * sizes.sum(axis=1)
-    moved = alike + 2 * (1 - proper) * sizes[:, 2]
-    return tuple(np.sqrt(np.maximum(each, 0.0) / len(drawn)) for each in (alike, moved))

@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from casacal.calibration.as_arm import AsArm
 from casacal.calibration.finding import Finding
 from casacal.calibration.fresh import Opened, fresh_among, fresh_rows, same_arm, with_memory
 from casacal.calibration.motion import Tried
-from casacal.calibration.saved import AsArm, arm_from
+from casacal.calibration.saved import arm_from
 from casacal.data.samples import Samples
 from casacal.deployment.arm import CalibratedArm
 from casacal.deployment.result import MirrorImage, Verdict

@@ -15,7 +15,7 @@ from casacal.calibration.motion import Tried, tip_extremes
 from casacal.calibration.report_pictures import LOOKED_AT, Touches, face_maps, histograms, row_plots
 from casacal.calibration.result_json import closing as closing_part
 from casacal.calibration.result_json import geometry, image_words, noise_part, parameter_rows, verdict_lines
-from casacal.calibration.summary import (
+from casacal.calibration.tables import (
     constant_table,
     correlation_table,
     cure_table,
@@ -46,8 +46,8 @@ from casacal.pages.drawing import (
     shortened,
 )
 from casacal.pages.space import space_fold
-from casacal.planning.candidates import Clearance
 from casacal.planning.cell_drawing import CellDrawing
+from casacal.planning.clearance import Clearance
 from casacal.planning.offers import CalibratedCell
 from casacal.planning.scene import scene
 from casacal.simulation.cell import Cell

@@ -1,4 +1,4 @@
-"""result.json of a calibration or of a simulated truth: what other tools read, part by part; rows beside a truth."""
+"""result.json of a calibration: what other tools read, part by part."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import math
 import os
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,16 +18,14 @@ from casacal.calibration.calibration import Calibration, parts_of
 from casacal.calibration.motion import effect_keys, tip_error
 from casacal.calibration.verdict import WithVerdict, warnings
 from casacal.data.repeats import listing
-from casacal.data.samples import Measurements, Samples, write_samples
+from casacal.data.samples import Measurements
 from casacal.deployment.as_data import problem_data
-from casacal.deployment.result import Verdict
-from casacal.deployment.result_file import SCHEMA, sealed
+from casacal.deployment.result import SCHEMA, Verdict
 from casacal.effects.effect import effects_of
 from casacal.errors import CasacalError
-from casacal.files import side_by_side, write_json
-from casacal.fit.arm_alone import arm_alone
-from casacal.fit.bound_problem import REPEATABILITY, BoundProblem, bind, without_joints
-from casacal.fit.least_squares import Result, Status
+from casacal.files import sealed
+from casacal.fit.bound_problem import REPEATABILITY, BoundProblem, without_joints
+from casacal.fit.least_squares import Result
 from casacal.model.problem_file import ProblemFile
 from casacal.model.term import Site
 from casacal.public import __version__
@@ -35,9 +33,6 @@ from casacal.uncertainty.identifiability import correlated_pairs, known_from
 from casacal.uncertainty.tip_error import without_rigid, workspace_joints
 from casacal.values import Array
 from casacal.wording import listed, mm
-
-if TYPE_CHECKING:
-    from casacal.simulation.simulate import Simulation
 
 _LOG = logging.getLogger("casacal")
 
@@ -396,60 +391,3 @@ def spreads(covariance: Array | None, names: Sequence[str], bound: BoundProblem)
     """The covariance, with the names of its rows where unknowns of single labels have none in it."""
     some = {} if len(names) == bound.unknowns else {"covariance_of": list(names)}
     return {**some, "covariance": covariance}
-
-
-def write_simulation(
-    simulation: Simulation, source: ProblemFile, path: Path, kept: tuple[Path, Samples] | None = None
-) -> list[Path]:
-    """Write simulated samples, and the truth as x.truth.json beside x.csv, all or nothing; returns the paths.
-
-    kept: rows of the same simulation that are not for fitting, and the file for them in the same folder.
-    """
-    measured, truth_path = simulation.measured, path.with_suffix(".truth.json")
-    targets = sample_paths(path, source.problem.names)
-    if path.exists() and not path.is_file():
-        raise CasacalError(f"'{path}' is no file, and the truth goes beside it", "Name a file, such as x.csv")
-    comments = [f"simulated by casacal {__version__} for {source.name}, seed {simulation.seed}: not a measurement"]
-    further = [] if kept is None else [kept]
-    with side_by_side([truth_path, *(place for place, _ in further), *targets]) as (answer, *places):
-        for place, (_, rows) in zip(places, further, strict=False):
-            write_samples(place, source.problem.layout(), rows, comments)
-        written = []
-        for i, (place, some) in enumerate(zip(places[len(further) :], measured.sets, strict=True)):
-            write_samples(place, source.problem.layout(i), some, comments)
-            written.append(replace(source.problem.read(place, i), file=str(targets[i])))
-        document = truth_document(simulation, source, bind(source.problem.without_terms, *written), path.parent)
-        document["data"]["file"] = " and ".join(target.name for target in targets)
-        write_json(answer, sealed(document))
-    return [*targets, *(place for place, _ in further), truth_path]
-
-
-def sample_paths(path: Path, names: Sequence[str]) -> list[Path]:
-    """Where the samples of each instrument go: x.csv of an only one, x-dial.csv and so on of several."""
-    return [path] if len(names) == 1 else [path.with_name(f"{path.stem}-{name}{path.suffix}") for name in names]
-
-
-def truth_document(simulation: Simulation, source: ProblemFile, bound: BoundProblem, folder: Path) -> dict[str, Any]:
-    """The truth behind simulated samples, in the shape of result.json, but for a verdict, fitted rows and the seal."""
-    x, samples = simulation.truth(bound), bound.measured
-    truth = Result("truth", bound, x, Status.TRUTH, {}, steps=0, residual_rows=0, jacobian_rows=0)
-    rows = rows_of(bound, x, np.zeros(bound.unknowns), ["simulation"] * bound.unknowns)
-    names = arm_alone(bound, x)[0].names
-    data = {
-        "file": relative_to(folder, samples.file),
-        "sha256": samples.sha256,
-        "samples": len(samples),
-        "heldout": 0,
-    }
-    return {
-        **head_of(source, truth, simulation.seed, bound.backend, folder),
-        "data": data,
-        "cost": truth.cost,
-        "parameters": [{**row, "known_from": "simulation"} for row in rows],
-        **geometry(bound, x),
-        "metrics": None,
-        "identifiability": None,
-        **spreads(np.zeros((len(names), len(names))), names, bound),
-        "reference": None,
-        **closing(truth, {"build": 0.0, "solve": 0.0, "total": 0.0}),
-    }

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.calibration.as_arm import AsArm
 from casacal.calibration.fresh import Opened, opened, with_memory
-from casacal.calibration.saved import AsArm
 from casacal.changes.change import CHANGED, NOTHING, ROWS, UNDECIDED, CauseFound, Change, Shown
 from casacal.changes.explain import SURE, UNEXPLAINED, Explanation, Look, contenders, explanations, telling
 from casacal.data.samples import Samples

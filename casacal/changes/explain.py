@@ -27,7 +27,8 @@ from casacal.fit.least_squares import Conditioned, Gaussian
 from casacal.fit.lm import lm
 from casacal.linalg import svd
 from casacal.model.problem import Problem
-from casacal.planning.candidates import drawn_touch, pool_of
+from casacal.planning.candidates import pool_of
+from casacal.planning.clearance import drawn_touch
 from casacal.planning.route import FIT, postures_text, shortest_way
 from casacal.simulation.cell import Cell, Face
 from casacal.uncertainty.fresh_rows import FreshRows, chance, chances, covariance_root, likelihood, occam, visible_basis

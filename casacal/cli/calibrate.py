@@ -118,8 +118,6 @@ def run(options: argparse.Namespace) -> int:
 
 def _since(options: argparse.Namespace) -> tuple[dict[str, float | None], list[str], CalibratedArm | None]:
     """Stds by name of --loosen, names of --standing, and the result of --prior-from; None where there is none."""
-    from casacal.deployment.result_file import read_result
-
     names = common.names_of("--loosen", options.loosen)
     stds: dict[str, float | None] = dict.fromkeys(name for name in names if "=" not in name)
     stds |= common.stds_of("--loosen", [name for name in names if "=" in name], "theta=2e-5")
@@ -132,14 +130,15 @@ def _since(options: argparse.Namespace) -> tuple[dict[str, float | None], list[s
     if options.prior or options.accuracy is not None:
         what = "Got --prior or --accuracy, which say how good the drawing is, with --prior-from"
         raise CasacalError(what, "Say with --loosen NAME=STD what may have changed since the earlier result")
+    from casacal.deployment.result_file import read_result
+
     return stds, standing, read_result(options.prior_from)
 
 
 def _report(calibration: Calibrated, source: ProblemFile, box: Box | None, options: argparse.Namespace) -> int:
     """Print the answer in the requested form and write the files; returns 0 or 1."""
+    from casacal.calibration.brief import MOST_LINES, brief, corrected_words
     from casacal.calibration.result_json import calibration_document
-    from casacal.calibration.summary import MOST_LINES, brief, corrected_words, summary
-    from casacal.model.problem_text import FILL_IN
     from casacal.uncertainty.tip_error import accuracy_in_box
 
     verdict, denied = calibration.verdict, calibration.denied
@@ -149,9 +148,8 @@ def _report(calibration: Calibrated, source: ProblemFile, box: Box | None, optio
         error, worst = accuracy_in_box(motion.arm, motion.x, box, motion.off)
         expected = [f"Inside {options.box} mm: a tip error of {mm(error)} RMS, {mm(worst)} at worst."]
         found["box"] = {"range_mm": box, "expected_rms_mm": error, "worst_mm": worst}
-    if marked := sum(file.text.count(FILL_IN) for file in source.files):
-        lines = "1 line of the problem file is" if marked == 1 else f"{marked} lines of the problem file are"
-        expected += [f"{lines} marked {FILL_IN}: what stands there is assumed."]
+    if source.assumed:
+        expected.append(f"{source.assumed}.")
     if not denied and calibration.corrected:
         expected.append(" ".join(corrected_words(calibration)))
     folder = None if options.out is None else Path(options.out).as_posix()
@@ -161,7 +159,7 @@ def _report(calibration: Calibrated, source: ProblemFile, box: Box | None, optio
     if options.json:
         say_json({**calibration_document(calibration, source), **found})
     elif options.verbose:
-        say_lines("\n\n".join([summary(calibration, source.name).rstrip(), *expected]))
+        say_lines("\n\n".join([calibration.summary().rstrip(), *expected]))
     else:
         again = {"--samples": options.sets, "--fix": options.fix, "--free": options.free, "--set": options.set}
         again |= {"--prior": options.prior}

@@ -17,10 +17,6 @@ if TYPE_CHECKING:
     from casacal.deployment.arm import CalibratedArm
     from casacal.model.problem import Problem
     from casacal.model.problem_file import ProblemFile
-    from casacal.model.robot import Robot
-    from casacal.planning.candidates import Clearance
-    from casacal.programs.program import TaughtProgram
-    from casacal.values import Array, Box
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 PROBLEM = "PROBLEM", "a folder with a problem.py, or such a file"
@@ -29,12 +25,6 @@ OF_SEVERAL = "where a problem has several instruments"
 INSTRUMENT = "--instrument NAME", f"instrument whose tip is meant; default: the first, {OF_SEVERAL}"
 FORCE = "--force", "accept a result that must not be used; the file says so"
 JSON = "--json", "print the answer as JSON, and nothing else"  # arguments of several commands, as `add` takes them
-THINNEST = 5.0  # mm; a radius of links below it was given in metres
-TABLE = (
-    "--table Z",
-    "height of what the arm stands on, mm, base frame: nothing goes below it; default: 0, the base plane; -inf: none",
-)
-TILT = "--tilt DEG", "largest angle between plunger and face normal; default: 30, or as the problem's cell has it"
 
 
 def add(
@@ -125,42 +115,6 @@ def fresh_rows(options: argparse.Namespace) -> tuple[CalibratedArm, ProblemFile 
 
 
 PROGRAM = "RAPID (.mod), KRL (.src with its .dat), URScript (.script), FANUC TP (.ls), Yaskawa (.jbi)"
-
-
-def add_program(parser: argparse.ArgumentParser) -> None:
-    """Add what a robot program leaves to its controller."""
-    pose = "the numbers of a pose as the program's language has them: NAME=X,Y,Z,..."
-    add(parser, "--tool NAME=POSE ...", f"a tool that a program names and does not hold, or 'flange'; {pose}")
-    add(parser, "--base NAME=POSE ...", f"a base, work object or user frame likewise, or 'world'; {pose}")
-    add(parser, "--near Q1,...", "joint values (degrees) where a program begins whose poses state no configuration")
-    add(parser, "--pulses N1,...", "pulses per degree of the six axes, for Yaskawa's positions in pulses")
-
-
-PROGRAM_OPTIONS = ("tool", "base", "near", "pulses")
-
-
-def read_program_of(options: argparse.Namespace, path: str) -> tuple[TaughtProgram, list[float] | None]:
-    """A robot program as the options complete it, and where it begins (6,; rad) if they say."""
-    from casacal.programs.read import read_program
-
-    tools, bases = (
-        _read(f"--{kind}", getattr(options, kind), "NAME=NUMBERS", f"a pose such as {kind}1=0,0,150,0,0,0", _numbers)
-        for kind in ("tool", "base")
-    )
-    pulses, near = (
-        None
-        if (text := getattr(options, kind)) is None
-        else _read(f"--{kind}", [f"={text}"], "six numbers", "six", _numbers)[""]
-        for kind in ("pulses", "near")
-    )
-    if near is not None and len(near) != 6:
-        raise CasacalError(f"--near has {len(near)} joint values", "Give six, in degrees")
-    begin = None if near is None else [math.radians(value) for value in near]
-    return read_program(path, tools=tools, bases=bases, pulses=pulses), begin
-
-
-def _numbers(text: str) -> list[float]:
-    return [_number(part) for part in text.split(",")]
 
 
 def spare(outs: Iterable[str | Path], *inputs: str | Path | None, option: str = "--out", own: bool = False) -> None:
@@ -265,7 +219,7 @@ def sample_files(source: ProblemFile, options: argparse.Namespace) -> dict[str, 
 def read_samples(source: ProblemFile, options: argparse.Namespace, *, absurd: bool = False) -> Samples | Measurements:
     """The samples of the only instrument, or of all; raises CasacalError as `sample_files` and `Problem.read` do."""
     from casacal.data.samples import Measurements, Samples
-    from casacal.programs.read import is_program
+    from casacal.programs.endings import is_program
 
     problem, files = source.problem, sample_files(source, options)
     if len(files) == 1:
@@ -312,7 +266,7 @@ def adjusted(problem: Problem, options: argparse.Namespace) -> Problem:
         problem = scaled_to_accuracy(problem, options.accuracy)
     if options.set:
         example = "sign=-1, noise_std=0.02 or travel=-5:5"
-        problem = problem.with_settings(_read("--set", options.set, "NAME=NUMBER", example, number_or_range))
+        problem = problem.with_settings(settings_of("--set", options.set, "NAME=NUMBER", example, number_or_range))
     free, fix = names_of("--free", options.free), names_of("--fix", options.fix)
     priors = stds_of("--prior", options.prior, "a3=0.5")
     problem = problem.free(*free).with_prior(priors).fix(*fix)
@@ -337,10 +291,10 @@ def names_of(option: str, groups: Sequence[str]) -> list[str]:
 
 def stds_of(option: str, settings: Sequence[str], example: str) -> dict[str, float]:
     """Numbers (mm, rad; of any sign) by name from NAME=STD settings; raises CasacalError with the example."""
-    return _read(option, settings, "NAME=STD", f"mm or rad, such as {example}", _number)
+    return settings_of(option, settings, "NAME=STD", f"mm or rad, such as {example}", number)
 
 
-def _read(
+def settings_of(
     option: str, settings: Sequence[str], form: str, example: str, read: Callable[[str], Read]
 ) -> dict[str, Read]:
     """Values by name of an option `NAME=VALUE`, each read by a function that raises ValueError."""
@@ -356,21 +310,8 @@ def _read(
     return found
 
 
-def add_where(parser: argparse.ArgumentParser) -> None:
-    """Add --box and --targets: where the tip will work."""
-    add(parser, "--box X0:X1,Y0:Y1,Z0:Z1", "region where the tip will work, mm, base frame")
-    add(parser, "--targets FILE", "joint values where it will work, in place of a box")
-
-
-def where(options: argparse.Namespace, source: ProblemFile) -> tuple[Box | None, Array | None]:
-    """The box and the joint values (M, n) that were named."""
-    from casacal.deployment.predict import joints_from
-
-    box = None if options.box is None else box_of(options.box)
-    return box, None if options.targets is None else joints_from(options.targets, source).joints
-
-
-def _number(text: str) -> float:
+def number(text: str) -> float:
+    """A number, finite or not; raises ValueError for any other text."""
     if math.isnan(value := float(text)):
         raise ValueError(text)
     return value
@@ -379,67 +320,7 @@ def _number(text: str) -> float:
 def number_or_range(text: str) -> float | tuple[float, float]:
     """10, or -5:5; raises ArgumentTypeError for anything else, as argparse asks."""
     try:
-        low, *high = (_number(part) for part in text.split(":", 1))
+        low, *high = (number(part) for part in text.split(":", 1))
         return (low, high[0]) if high else low
     except ValueError:
         raise argparse.ArgumentTypeError(f"'{text}' is no number, nor a range of two such as -5:5") from None
-
-
-def table_of(source: ProblemFile, options: argparse.Namespace) -> float:
-    """Height of the table, mm: as it was named, or as the problem file's cell has it, or the base plane."""
-    if options.table is not None:
-        return float(options.table)
-    return 0.0 if source.cell is None else source.cell.table
-
-
-def in_cell(source: ProblemFile, options: argparse.Namespace, *, tilt: float | None = None) -> ProblemFile:
-    """The cell with table and tilt (degrees) as named, and faces above it where the file has no cell of its own.
-
-    Raises CasacalError for a tilt where no faces are touched.
-    """
-    from casacal.simulation.cell import Cell, Disturbances
-    from casacal.simulation.touches import default_cell
-
-    problem = source.problem
-    faced = [name for name, each in zip(problem.names, problem.instruments, strict=True) if each.probe is not None]
-    table, cell = table_of(source, options), source.cell
-    if cell is None:
-        cell = default_cell(problem.measured_by(faced[0]), table=table) if faced else Disturbances(table=table)
-    if tilt is not None and not isinstance(cell, Cell):
-        what = f"--tilt is about faces, and {type(problem.instrument).__name__} touches none"
-        raise CasacalError(what, "Leave it out")
-    cell = replace(cell, table=table)
-    return replace(source, cell=cell if tilt is None else replace(cell, tilt=math.radians(tilt)))
-
-
-def add_clearance(parser: argparse.ArgumentParser) -> None:
-    """Add --table, --keep-out and --link-radius."""
-    add(parser, *TABLE, kind=float)
-    words = "a box, mm, base frame, that arm and tool must avoid; may be repeated"
-    add(parser, "--keep-out X0:X1,Y0:Y1,Z0:Z1 ...", words)
-    words = "radius of the links, to keep clear of table, boxes, faces and each other; default: from the reach; 0: none"
-    add(parser, "--link-radius MM", words, kind=float)
-
-
-def clearance_of(options: argparse.Namespace, source: ProblemFile | None = None) -> Clearance:
-    """Clearance from --keep-out and --link-radius, and from the boxes of a problem file's cell where it is given."""
-    from casacal.planning.candidates import Clearance
-
-    radius = options.link_radius
-    if radius is not None and radius and radius < THINNEST:
-        raise CasacalError(f"--link-radius is {radius:g} mm, which no link is", "Give mm: 0.05 m are 50")
-    boxes = tuple(box_of(text, option="--keep-out") for text in options.keep_out)
-    return Clearance((*boxes, *(() if source is None or source.cell is None else source.cell.keep_out)), radius)
-
-
-def add_joints(parser: argparse.ArgumentParser) -> None:
-    """Add --joints: a controller that is asked where the arm stands."""
-    words = "ask the controller where the arm stands, and only read: rtde:ADDRESS (Universal Robots), rws:ADDRESS (ABB)"
-    add(parser, "--joints KIND:ADDRESS", words)
-
-
-def stands_of(spelled: str, robot: Robot) -> Callable[[], Array]:
-    """Joint values (n,; rad, mm) as the controller that --joints names shows them when it is asked."""
-    from casacal.shopfloor.controllers import controller
-
-    return controller(spelled, robot).standing

@@ -15,16 +15,14 @@ from casacal.cli.common import (
     INSTRUMENT,
     JSON,
     PROGRAM,
-    PROGRAM_OPTIONS,
     RESULT,
     add,
     add_frame,
-    add_program,
     made_from,
     read_arm,
-    read_program_of,
     spare,
 )
+from casacal.cli.programs import PROGRAM_OPTIONS, add_program, read_program_of
 from casacal.cli.terminal import answer
 from casacal.errors import CasacalError
 from casacal.wording import capital, counted, figures, shortened
@@ -120,7 +118,7 @@ OF_PROGRAMS = ("inverse", "taught_on", "runs_on", "skip_unknown", "diff", *PROGR
 
 def _is_for_program(options: argparse.Namespace) -> bool:
     """Whether the options are about a robot program; raises CasacalError where they are about both kinds of targets."""
-    from casacal.programs.read import ENDINGS, is_program
+    from casacal.programs.endings import ENDINGS, is_program
 
     spelled = {"taught_on": "from", "runs_on": "to", "skip_unknown": "skip-unknown"}
     wanted = [f"--{spelled.get(name, name)}" for name in OF_PROGRAMS if getattr(options, name)]

@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.doctor.words import diagnosis_text
     from casacal.model.joints import Conventions
     from casacal.model.problem_file import keep_conventions, load_problem
-    from casacal.programs.read import is_program
+    from casacal.programs.endings import is_program
 
     source = load_problem(options.problem)
     robot = source.problem.robot

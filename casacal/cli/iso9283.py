@@ -7,8 +7,9 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli import common
-from casacal.cli.common import DONE, JSON, add, clearance_of, in_cell, of_instrument, spare
+from casacal.cli import cell, common
+from casacal.cli.cell import clearance_of, in_cell
+from casacal.cli.common import DONE, JSON, add, of_instrument, spare
 from casacal.cli.terminal import answer
 from casacal.errors import CasacalError
 from casacal.wording import times
@@ -42,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--plane NAME", "diagonal plane, by where its upward normal leans: x+, x-, y+ or y-; default: the best")
     add(parser, "--tool X,Y,Z", "measured point in the flange frame, mm; default: the instrument's tip")
     add(parser, *common.INSTRUMENT)
-    common.add_clearance(parser)
+    cell.add_clearance(parser)
     add(parser, *JSON)
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
-from casacal.cli import common
+from casacal.cli import cell, common
 from casacal.cli.common import DONE, FAILED, PROBLEM, add, whole_number
 from casacal.cli.terminal import prompt, say_paragraphs
 from casacal.errors import CasacalError
@@ -41,11 +41,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     words = "label of these touches where the problem tells sessions apart; default: the operator is asked"
     add(parser, "--session NAME", words)
     add(parser, "--tolerance MM", "end when the tip error is below this with 95 %% probability", kind=float)
-    common.add_where(parser)
+    cell.add_where(parser)
     add(parser, "--best-first", "choose the touch that lowers the tip error most, not the next on the planned way")
-    common.add_clearance(parser)
+    cell.add_clearance(parser)
     add_gauge(parser)
-    common.add_joints(parser)
+    cell.add_joints(parser)
 
 
 def add_gauge(parser: argparse.ArgumentParser) -> None:
@@ -67,9 +67,9 @@ def run(options: argparse.Namespace) -> int:
     source = common.of_instrument(load_problem(options.problem), options.instrument)
     common.spare([options.out], *(file.path for file in source.files), options.plan, options.targets, own=True)
     meter = gauge(options.gauge, pattern=options.pattern, unit=options.unit, asks=options.ask)
-    stands = None if options.joints is None else common.stands_of(options.joints, source.problem.robot)
+    stands = None if options.joints is None else cell.stands_of(options.joints, source.problem.robot)
     if options.table is not None:
-        source = common.in_cell(source, options)
+        source = cell.in_cell(source, options)
     recording = _begun(source, options, meter, stands)
     if options.serial is None:
         _held(recording, None)
@@ -96,7 +96,7 @@ def _begun(
                 prompt(f"{column} (Enter: {planned[column][0]}): ")
                 said = sys.stdin.readline().strip()
             labels[column] = said
-    box, targets = common.where(options, source)
+    box, targets = cell.where(options, source)
     session = Session(
         source.problem,
         None,
@@ -104,7 +104,7 @@ def _begun(
         box,
         targets,
         source.cell,
-        common.clearance_of(options),
+        cell.clearance_of(options),
         options.best_first,
     )
     recording, said = begun(
@@ -112,8 +112,8 @@ def _begun(
         options.plan,
         options.out,
         meter,
-        table=common.table_of(source, options),
-        clearance=common.clearance_of(options, source),
+        table=cell.table_of(source, options),
+        clearance=cell.clearance_of(options, source),
         session=session,
         labels=labels,
         stands=stands,

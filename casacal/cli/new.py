@@ -8,7 +8,8 @@ import tempfile
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, TABLE, add, box_of, number_or_range
+from casacal.cli.cell import TABLE
+from casacal.cli.common import DONE, add, box_of, number_or_range
 from casacal.cli.terminal import say_paragraphs
 from casacal.errors import CasacalError
 
@@ -114,7 +115,7 @@ def _with_proposed_plates(answers: Answers, options: argparse.Namespace) -> Answ
     from casacal.model.new import new_from_dh, new_from_urdf
     from casacal.model.problem_file import load_problem
     from casacal.model.problem_text import Plate
-    from casacal.simulation.touches import default_cell
+    from casacal.simulation.places import default_cell
 
     bare = replace(answers, block=None)
     with tempfile.TemporaryDirectory() as place:

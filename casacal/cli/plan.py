@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli import common
+from casacal.cli import cell, common
 from casacal.cli.common import DONE, JSON, PROBLEM, add, whole_number
 from casacal.cli.terminal import answer, say_paragraphs
 from casacal.errors import CasacalError
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from casacal.model.problem_file import ProblemFile
-    from casacal.planning.candidates import Clearance
+    from casacal.planning.clearance import Clearance
     from casacal.planning.plan import Plan
     from casacal.planning.set_ups import SetUp
 
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     words = "number of touches in all; default: until more would only average noise, and more than calibrate needs"
     add(parser, "--touches N", words, kind=whole_number)
     add(parser, "--tolerance MM", "instead of --touches: as many as this expected tip error takes", kind=float)
-    common.add_where(parser)
+    cell.add_where(parser)
     words = "tip: least mean tip error (default); parameters: least volume of their uncertainty (D-optimal)"
     add(parser, "--criterion NAME", words, default="tip")
     add(parser, "--after FILE", "samples that were taken already; the plan adds to them")
@@ -48,8 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     words = "part kept to verify, or a few more where these place every face; default: 0.15"
     add(parser, "--check F", words, kind=float, default=0.15)
     add(parser, "--again F", "part repeated at the end; default: 0.05", kind=float, default=0.05)
-    common.add_clearance(parser)
-    add(parser, *common.TILT, kind=float)
+    cell.add_clearance(parser)
+    add(parser, *cell.TILT, kind=float)
     words = "also touch a gauge block of this height on the first face; writes a problem with it beside the plan"
     add(parser, "--block MM", words, kind=float)
     add(parser, "--setups", "also compare other set-ups of the cell")
@@ -75,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
     outs = [options.out, *([] if options.sheet is None else [options.sheet])]
     common.spare(outs, *(file.path for file in source.files), source.samples, options.targets, options.after)
     warned = _wrong_with(source, options)
-    source, clearance = common.in_cell(source, options, tilt=options.tilt), common.clearance_of(options)
+    source, clearance = cell.in_cell(source, options, tilt=options.tilt), cell.clearance_of(options)
     texts, place = dict[Path, str](), Path(options.problem)
     if options.block is not None:
         source, place, texts = _with_block(source, options)
@@ -83,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
     written = _written(source, options, found, clearance, texts)
     compared, fitted, later = tuple[SetUp, ...](), found.purposes.count(FIT), options.after is not None
     if options.setups or (source.problem.instrument.probe is not None and not later and fitted <= POOL):
-        box, targets = common.where(options, source)
+        box, targets = cell.where(options, source)
         compared = set_ups(
             source.problem,
             source.cell,
@@ -168,7 +168,7 @@ def _wrong_with(source: ProblemFile, options: argparse.Namespace) -> list[str]:
 def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Clearance) -> Plan:
     from casacal.planning.plan import plan, touches_for
 
-    box, targets = common.where(options, source)
+    box, targets = cell.where(options, source)
     after = None if options.after is None else source.problem.read(options.after)
     touches, tolerance = options.touches, options.tolerance
     loose = common.stds_of("--loose", options.loose, "theta4=0.01")

@@ -5,21 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import (
-    DONE,
-    FAILED,
-    FORCE,
-    INSTRUMENT,
-    JSON,
-    PROGRAM,
-    PROGRAM_OPTIONS,
-    RESULT,
-    add,
-    add_frame,
-    add_program,
-    read_arm,
-    read_program_of,
-)
+from casacal.cli.common import DONE, FAILED, FORCE, INSTRUMENT, JSON, PROGRAM, RESULT, add, add_frame, read_arm
+from casacal.cli.programs import PROGRAM_OPTIONS, add_program, read_program_of
 from casacal.cli.terminal import answer
 from casacal.errors import CasacalError
 from casacal.wording import counted, listed
@@ -59,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
     """Predict as the options say; returns 0."""
     from casacal.deployment.arm import column_notes
     from casacal.deployment.predict import joints_from, predict, write_prediction
-    from casacal.programs.read import is_program
+    from casacal.programs.endings import is_program
 
     result = read_arm(options, options.joints)
     if is_program(options.joints):

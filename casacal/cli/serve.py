@@ -6,7 +6,7 @@ import argparse
 from contextlib import ExitStack, closing
 from pathlib import Path
 
-from casacal.cli import common
+from casacal.cli import cell, common
 from casacal.cli.common import DONE, PROBLEM, add, whole_number
 from casacal.cli.measure import add_gauge, frame_of
 from casacal.cli.terminal import say_paragraphs
@@ -37,10 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "enough is measured when the tip error is below this with 95 %% probability",
         kind=float,
     )
-    common.add_clearance(parser)
-    add(parser, *common.TILT, kind=float)
+    cell.add_clearance(parser)
+    add(parser, *cell.TILT, kind=float)
     add_gauge(parser)
-    common.add_joints(parser)
+    cell.add_joints(parser)
     add(parser, "--since RESULT", "an earlier result of this arm: the page also says what has changed since")
     add(parser, "--host ADDRESS", f"address to serve at, such as 0.0.0.0 for a tablet; default: {HOST}", default=HOST)
     add(parser, "--port N", "port; default: 8765, 0 takes a free one", kind=whole_number, default=8765)
@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.tablet.work import Work, Workplace
 
     source = common.of_instrument(load_problem(options.problem), options.instrument)
-    source = common.in_cell(source, options, tilt=options.tilt)
+    source = cell.in_cell(source, options, tilt=options.tilt)
     folder = Path(options.out or f"{source.name}_page")
     if folder.exists() and not folder.is_dir():
         raise CasacalError(f"--out '{folder}' is no folder", "Name a folder, or one that does not exist yet")
@@ -66,11 +66,11 @@ def run(options: argparse.Namespace) -> int:
         source,
         folder,
         gauge(options.gauge, pattern=options.pattern, unit=options.unit, asks=options.ask),
-        common.table_of(source, options),
-        common.clearance_of(options, source),
+        cell.table_of(source, options),
+        cell.clearance_of(options, source),
         options.tolerance,
         None if options.plan is None else Path(options.plan),
-        None if options.joints is None else common.stands_of(options.joints, source.problem.robot),
+        None if options.joints is None else cell.stands_of(options.joints, source.problem.robot),
         None if options.since is None else read_result(options.since),
         {} if options.session is None else dict.fromkeys(columns, options.session),
     )

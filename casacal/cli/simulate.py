@@ -8,19 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import (
-    DONE,
-    JSON,
-    PROBLEM,
-    TABLE,
-    TILT,
-    add,
-    in_cell,
-    number_or_range,
-    spare,
-    table_of,
-    whole_number,
-)
+from casacal.cli.cell import TABLE, TILT, in_cell, table_of
+from casacal.cli.common import DONE, JSON, PROBLEM, add, number_or_range, spare, whole_number
 from casacal.cli.terminal import answer
 from casacal.errors import CasacalError
 from casacal.wording import METRE, UNBOUNDED, counted, figures, listed, shortened
@@ -83,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Simulate as the options say; returns 0."""
-    from casacal.calibration.result_json import sample_paths, write_simulation
+    from casacal.calibration.truth import sample_paths, write_simulation
     from casacal.fit.bound_problem import bind
     from casacal.model.problem_file import load_problem
     from casacal.simulation.cell import Cell
@@ -159,7 +148,7 @@ def _compared(
     """Numbers of planned touches that the true arm cannot make, warnings, and remarks on postures that were moved."""
     import numpy as np
 
-    from casacal.planning.candidates import Clearance, hindered
+    from casacal.planning.clearance import Clearance, hindered
 
     if route is None:
         return [], [], []

@@ -13,6 +13,7 @@ from casacal.values import Array, FrozenMapping, Value, read_only
 from casacal.wording import listed, sentence
 
 Level = Literal["calibrated", "use with care", "do not use"]
+SCHEMA = 2  # version of the files written now. Those without a number are older: they need their problem.py
 TIP_ERRORS = ("expected", "prior", "flange_expected", "flange_prior")
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import hashlib
 import json
 import math
 import os
@@ -21,9 +20,9 @@ import numpy as np
 from casacal.data.repeats import is_listing
 from casacal.deployment.arm import CalibratedArm, for_instrument
 from casacal.deployment.as_data import problem_from
+from casacal.deployment.result import SCHEMA
 from casacal.errors import CasacalError, came
-from casacal.files import BY, jsonable, recover
-from casacal.model.dh_file import read_dh_file
+from casacal.files import BY, recover, seal_of
 from casacal.model.dh_table import DHTable
 from casacal.model.problem import Problem
 from casacal.model.problem_file import ProblemFile, SourceFile, load_problem
@@ -32,9 +31,7 @@ from casacal.model.unknown import Parameter
 from casacal.wording import lower
 
 FIX = "Restore the file, or calibrate again"
-FREE = ("seal", "seconds", BY)  # keys that are not sealed
 RESTORE = "Restore it, or calibrate again"
-SCHEMA = 2  # version of the files written now. Those without a number are older: they need their problem.py
 LARGEST_SOURCE = 100_000_000  # bytes beyond which a file is none that an arm was made from
 
 
@@ -163,18 +160,6 @@ def _short(value: Any) -> str:
     return text if len(text) <= 40 else f"{text[:40]}..."
 
 
-def sealed(document: Mapping[str, Any]) -> dict[str, Any]:
-    """The document with its seal, made anew where it has one."""
-    keys = sorted(key for key in document if key not in FREE)
-    kept = {key: item for key, item in document.items() if key != "seal"}
-    return {**kept, "seal": {"of": keys, "sha256": _digest(jsonable(kept), keys)}}
-
-
-def _digest(document: Mapping[str, Any], keys: Sequence[str]) -> str:
-    guarded = [list(keys), {key: document[key] for key in keys if key in document}]
-    return hashlib.sha256(json.dumps(guarded, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
-
-
 def read_result(path: str | Path, *, problem: Problem | None = None) -> CalibratedArm:
     """Read a result.json or a truth, or a folder with a result.json.
 
@@ -227,7 +212,7 @@ def _read(place: Path) -> dict[str, Any]:
         if not isinstance(seal, dict) or not isinstance(seal.get("of"), list):
             raise CasacalError(f"{place}: its seal is gone, so it was changed after it was written", RESTORE)
         with suppress(ValueError, RecursionError):
-            digest = _digest(document, seal["of"]) if all(isinstance(key, str) for key in seal["of"]) else None
+            digest = seal_of(document, seal["of"]) if all(isinstance(key, str) for key in seal["of"]) else None
         if digest is None or seal.get("sha256") != digest:
             raise CasacalError(f"{place}: it was changed after it was written", RESTORE)
     document.pop(BY, None)
@@ -276,6 +261,7 @@ def _same_code(path: Path, one: str, other: str) -> bool:
 
 def _same_arm(path: Path, arm: Arm | None) -> bool:
     """Whether a URDF or a DH table is the same but for comments and layout."""
+    from casacal.model.dh_file import read_dh_file
     from casacal.model.urdf import UrdfChain
 
     try:

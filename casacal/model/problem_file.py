@@ -21,6 +21,7 @@ from casacal.model.robot import Robot, random_joints
 from casacal.user_code import IMPORTED, line_of, run_file
 from casacal.values import Array, Value
 
+FILL_IN = "TO FILL IN"  # mark of a line that nobody has checked yet
 CONVENTIONS = "conventions.json"  # beside problem.py: that the pendant's poses confirm its joint conventions
 SAME_ARM = 0.05  # of its reach; corrected lengths move an arm less, other signs or offsets more
 LARGEST_KEPT = 2_000_000  # bytes beyond which the text of a file is not kept with its hash
@@ -73,6 +74,13 @@ class ProblemFile(Value):
     def samples(self) -> Path | None:
         """The samples file beside it, of the first of several instruments; None for a problem made in memory."""
         return self.samples_of(0)
+
+    @property
+    def assumed(self) -> str:
+        """How many lines of its files nobody has checked yet, as a clause; empty where there are none."""
+        marked = sum(file.text.count(FILL_IN) for file in self.files)
+        lines = "1 line of the problem file is" if marked == 1 else f"{marked} lines of the problem file are"
+        return f"{lines} marked {FILL_IN}: what stands there is assumed" if marked else ""
 
     @cached_property
     def confirmed(self) -> bool:

@@ -15,10 +15,10 @@ from casacal.model.capsules import Solid
 from casacal.model.dh_table import degrees, plain
 from casacal.model.instrument import Travel, readings_within
 from casacal.model.joints import Conventions, Joint
+from casacal.model.problem_file import FILL_IN
 from casacal.model.unknown import tangent_basis
 
 FINEST = 0.01  # mm; an accuracy below it was given in metres
-FILL_IN = "TO FILL IN"  # mark of a line that nobody has checked yet
 
 
 @dataclass(frozen=True)

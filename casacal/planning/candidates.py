@@ -1,14 +1,9 @@
-"""Touches that the arm can make and keep clear of table, faces, boxes and itself.
-
-An arm is a chain of rods between its axes, as thick as is said, or as arms of its reach are: see
-`casacal.model.capsules`.
-"""
+"""Touches among which a plan is chosen: those that the arm as drawn can make, and that keep clear."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import reduce
 
 import numpy as np
@@ -16,89 +11,16 @@ import numpy as np
 from casacal.data.samples import Samples, joined
 from casacal.errors import CasacalError, SimulationError, came
 from casacal.fit.nominal import nominal_tips
-from casacal.model.capsules import STILL, Collision, Skeleton, Solid
+from casacal.model.capsules import STILL
 from casacal.model.instrument import Probe
 from casacal.model.problem import Problem
-from casacal.model.robot import Robot, random_joints
+from casacal.model.robot import random_joints
+from casacal.planning.clearance import Around, Clearance
 from casacal.simulation.cell import Cell, Disturbances
+from casacal.simulation.places import default_cell, refuse_cell
 from casacal.simulation.simulate import simulate, touched_rows
-from casacal.simulation.touches import PLATE, Draw, TouchingArm, default_cell, refuse_cell, true_unknowns
-from casacal.values import Array, Box, Rows, Value, is_real
-
-
-@dataclass(frozen=True, eq=False)
-class Clearance(Value):
-    """Obstacles and link radii that postures keep clear of, beside table, faces and `keep_out` of a cell.
-
-    boxes: ranges of x, y, z (mm, base frame) where neither arm nor tool may be. link_radius: how thick its links are,
-    mm; None takes what arms of this reach have, 0 looks at joints, flange and tip alone. The last link and the tool may
-    come near a face.
-    """
-
-    boxes: tuple[Box, ...] = ()
-    link_radius: float | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "boxes", tuple(self.boxes))
-        for box in self.boxes:
-            Solid.box("box", box)
-        radius = self.link_radius
-        if radius is not None and not (is_real(radius) and 0 <= radius < math.inf):
-            raise CasacalError(f"The links' radius is {radius!r}", "Give a positive number of mm, or 0 for none")
-
-    def around(self, robot: Robot, cell: Disturbances | None) -> Around:
-        """What there is around an arm, with the table and the faces of a cell."""
-        boxes = (*self.boxes, *(() if cell is None else cell.keep_out))
-        solids = [Solid.box(f"box {number}", box) for number, box in enumerate(boxes, 1)]
-        for face in cell.faces if isinstance(cell, Cell) else ():  # as thick as a plate that lies on a table
-            low, high = (np.array([end, *(side * np.asarray(face.size) / 2)]) for end, side in ((-PLATE, -1), (0.0, 1)))
-            solids.append(Solid(f"face '{face.label}'", low, high, np.asarray(face.centre), face.axes, touched=True))
-        skeleton = Skeleton.of(robot)
-        radius = skeleton.radius if self.link_radius is None else self.link_radius
-        known = skeleton.place is not None
-        return Around(skeleton, radius if known else 0.0, -math.inf if cell is None else cell.table, tuple(solids))
-
-
-@dataclass(frozen=True, eq=False)
-class Around:
-    """An arm, the radius of its links (mm; 0 where they are not looked at), and what stands around it."""
-
-    skeleton: Skeleton
-    radius: float
-    table: float
-    solids: tuple[Solid, ...]
-
-    def collisions(self, joints: Array, tips: Array) -> Iterator[Collision]:
-        """What postures (N, n; rad, mm) with tips (N, 3; mm) bring too near to what."""
-        return self.skeleton.collisions(joints, tips, self.radius, table=self.table, solids=self.solids)
-
-    def clear(self, joints: Array, tips: Array) -> Rows:
-        """Which postures (N, n; rad, mm), whose tips (N, 3; mm) touch faces, keep clear of everything."""
-        clear = np.ones(len(joints), dtype=bool)
-        for each in self.collisions(joints, tips):
-            clear &= ~each.rows
-        return clear
-
-    @property
-    def words(self) -> str:
-        """A sentence: what was looked at, and what was not."""
-        names = [*(["the table"] if self.table > -math.inf else []), *(each.name for each in self.solids)]
-        unseen = "Cables, the shapes of links and tool, and what else stands around were not looked at"
-        if self.radius:
-            off = f"off {', '.join(names)} and " if names else "off "
-            return (
-                f"Collisions looked at: links, as rods of {self.radius:g} mm radius between drawn axes (the wrist's "
-                f"and the tool half as thick), keep {off}one another; the last link and the tool may come near a face. "
-                f"{unseen}. Go through the plan slowly"
-            )
-        alone = "joints, flange and tip are" if self.skeleton.place else "the tip is"
-        why = "links" if self.skeleton.place else "links (joints do not carry one another in order)"
-        kept = f"only {alone} kept off {', '.join(names)}" if names else "nothing is looked at"
-        return (
-            f"Collisions not checked: of the arm {kept}; {why}, cables and what stands around were not looked at. Go "
-            "through the plan slowly"
-        )
-
+from casacal.simulation.touches import Draw, TouchingArm, true_unknowns
+from casacal.values import Array, Box
 
 ROUNDS = 20  # times that more touches are drawn where some do not keep clear
 RARE = 0.05  # part of all that must keep clear, or a plan makes no sense
@@ -126,15 +48,6 @@ def cell_of(problem: Problem, cell: Disturbances | None) -> Disturbances:
     if cell is not None:
         still = replace(still, table=cell.table, keep_out=cell.keep_out)
     return replace(still, error_scale=0.0, repeatability=0.0, resolution=0.0)
-
-
-def drawn_touch(problem: Problem, probe: Probe, samples: Samples) -> tuple[TouchingArm, Array, Array, Array]:
-    """The arm as drawn with its plunger, and of rows what it reads (N,), its tips and plungers (N, 3)."""
-    local = true_unknowns(problem, probe, 0.0, np.random.default_rng(0))
-    arm = TouchingArm.of(problem.robot, problem.instrument, probe, local)
-    readings = np.zeros(len(samples)) if probe.column is None else samples.columns[probe.column]
-    tips, plungers = arm.place(arm.local, samples.joints, readings[:, None])
-    return arm, readings, tips, plungers
 
 
 LIBRARY = 2000  # random postures, of which those that keep clear are where touches are sought from
@@ -190,24 +103,6 @@ def pool_of(
     what = f"Only {few} of {tried} reachable touches{of_it} keep clear above the table at z = {still.table:g} mm"
     what += f". In the way: {named}"
     raise CasacalError(what, "Move the faces, make --keep-out or --link-radius smaller, or say where --table is")
-
-
-THIN = 1e-3  # mm; radius of links of which nothing is known: their axes alone must keep clear
-ROUNDED = 1.0  # mm by which a posture as a plan's file shows it may be lower than it was planned
-
-
-def hindered(problem: Problem, samples: Samples, table: float, clearance: Clearance) -> dict[int, str]:
-    """What of the drawn arm is below a table (mm), in a box or in the arm itself, by number of the touch, from 1.
-
-    For postures from elsewhere, such as a plan that was edited: faces, which may stand elsewhere by now, are not looked
-    at, and links are thin unless the clearance says more.
-    """
-    thin = replace(clearance, link_radius=THIN) if clearance.link_radius is None else clearance
-    around, found = thin.around(problem.robot, Disturbances(table=table - ROUNDED)), dict[int, str]()
-    for part, other, rows in around.collisions(samples.joints, nominal_tips(problem, 0, samples)):
-        for k in (np.flatnonzero(rows) + 1).tolist():
-            found[k] = f"{found[k]}, {part} against {other}" if k in found else f"{part} against {other}"
-    return found
 
 
 def _rare_face(pool: Samples, cell: Disturbances, probe: Probe | None) -> tuple[str, int] | None:

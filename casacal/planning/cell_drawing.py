@@ -12,7 +12,7 @@ from markupsafe import Markup
 
 from casacal.model.capsules import Solid, radii_of
 from casacal.pages.drawing import number, shortened, tag, together
-from casacal.planning.candidates import Around
+from casacal.planning.clearance import Around
 from casacal.values import Array
 
 HIGH, EDGE = 200.0, 6.0  # units of a picture: its height, its margin

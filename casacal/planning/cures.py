@@ -24,7 +24,6 @@ from casacal.linalg import posterior_covariance
 from casacal.model.problem import Problem
 from casacal.planning.choice import Choice
 from casacal.planning.offers import EXTRA_TOUCHES, CalibratedCell, Offer, more_samples, offers
-from casacal.simulation.bench import bench_of, exact_rows
 from casacal.simulation.cell import Cell, Disturbances
 from casacal.simulation.touches import Draw
 from casacal.uncertainty.identifiability import NullDirection, WeakDirection, prior_scale
@@ -243,6 +242,8 @@ def extra_samples(bound: BoundProblem, x: Array) -> Samples | None:
 
     Also None for what touches faces.
     """
+    from casacal.simulation.bench import bench_of, exact_rows  # what touches faces needs no bench
+
     problem, samples, rng = bound.problem.without_terms, bound.samples[0], np.random.default_rng(0)
     if len(bound.samples) > 1 or problem.instrument.probe is not None:
         return None

@@ -20,8 +20,9 @@ from casacal.fit.nominal import nominal_tips
 from casacal.model.problem import Problem
 from casacal.model.robot import inside_limits
 from casacal.pages.drawing import rendered
-from casacal.planning.candidates import Around, Clearance, cell_of, drawn_touch
+from casacal.planning.candidates import cell_of
 from casacal.planning.cell_drawing import drawings
+from casacal.planning.clearance import Around, Clearance, drawn_touch
 from casacal.planning.route import Route, joints_shown
 from casacal.simulation.cell import Cell, Disturbances
 from casacal.simulation.touches import TouchingArm

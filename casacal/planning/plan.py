@@ -21,8 +21,9 @@ from casacal.fit.nominal import nominal_tips
 from casacal.fit.slots import instances, make_slots
 from casacal.model.instrument import readings_within
 from casacal.model.problem import Problem
-from casacal.planning.candidates import Clearance, cell_of, drawn_touch, pool_of, refuse_several
+from casacal.planning.candidates import cell_of, pool_of, refuse_several
 from casacal.planning.choice import Choice, Criterion, seldom, wanted_joints
+from casacal.planning.clearance import Clearance, drawn_touch
 from casacal.planning.route import AGAIN, CHECK, FIT, Route, postures_text, shortest_way, touches_needed
 from casacal.planning.set_ups import POOL, SetUp, worth_most
 from casacal.simulation.cell import Cell, Disturbances

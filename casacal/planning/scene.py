@@ -10,7 +10,7 @@ from casacal.data.samples import Samples
 from casacal.fit.nominal import nominal_tips
 from casacal.model.capsules import radii_of
 from casacal.model.problem import Problem
-from casacal.planning.candidates import Clearance, drawn_touch
+from casacal.planning.clearance import Clearance, drawn_touch
 from casacal.simulation.cell import Disturbances
 
 DRAWN = 12.0  # radius of links of which nothing is known, mm

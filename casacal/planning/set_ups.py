@@ -15,11 +15,12 @@ from casacal.errors import CasacalError
 from casacal.files import MADE
 from casacal.fit.bound_problem import bind
 from casacal.model.problem import Problem
-from casacal.model.problem_file import ProblemFile
-from casacal.model.problem_text import FILL_IN, word
+from casacal.model.problem_file import FILL_IN, ProblemFile
+from casacal.model.problem_text import word
 from casacal.pages.drawing import plain_text
-from casacal.planning.candidates import Clearance, cell_of, pool_of
+from casacal.planning.candidates import cell_of, pool_of
 from casacal.planning.choice import Choice, wanted_joints
+from casacal.planning.clearance import Clearance
 from casacal.planning.offers import STEP, block_on, fresh, raised, rising
 from casacal.simulation.cell import Cell, Disturbances, Face
 from casacal.values import Array, Box, Value, plain

@@ -13,6 +13,7 @@ import numpy as np
 from casacal.data.text import Table
 from casacal.errors import CasacalError, came
 from casacal.programs import fanuc, krl, rapid, urscript, yaskawa
+from casacal.programs.endings import ENDINGS, is_program
 from casacal.programs.program import SUFFIX, Form, Given, TaughtProgram
 from casacal.values import Array, FrozenMapping
 from casacal.wording import listed
@@ -41,22 +42,6 @@ YASKAWA = Dialect(yaskawa.read, yaskawa.FORM, yaskawa.configuration)
 DIALECTS: Mapping[str, Dialect] = FrozenMapping(
     {"rapid": RAPID, "krl": KRL, "urscript": URSCRIPT, "fanuc": FANUC, "yaskawa": YASKAWA}
 )
-ENDINGS: Mapping[str, str] = FrozenMapping(
-    {
-        ".mod": "rapid",
-        ".modx": "rapid",
-        ".prg": "rapid",
-        ".src": "krl",
-        ".script": "urscript",
-        ".ls": "fanuc",
-        ".jbi": "yaskawa",
-    }
-)
-
-
-def is_program(path: object) -> bool:
-    """Whether a path has the ending of a robot program."""
-    return isinstance(path, (str, Path)) and Path(path).suffix.lower() in ENDINGS
 
 
 def read_program(

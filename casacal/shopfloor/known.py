@@ -21,8 +21,9 @@ from casacal.fit.lm import lm
 from casacal.fit.slots import Slot, instances, make_slots
 from casacal.linalg import svd
 from casacal.model.problem import Problem
-from casacal.planning.candidates import Clearance, pool_of
+from casacal.planning.candidates import pool_of
 from casacal.planning.choice import gains, row_slopes
+from casacal.planning.clearance import Clearance
 from casacal.planning.route import CHECK
 from casacal.shopfloor.touch import Slip, Touch, rows_of
 from casacal.simulation.cell import Disturbances

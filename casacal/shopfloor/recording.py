@@ -13,7 +13,7 @@ from casacal.data.columns import Labels
 from casacal.data.samples import WRITTEN
 from casacal.errors import CasacalError
 from casacal.model.problem_file import ProblemFile
-from casacal.planning.candidates import Clearance, hindered
+from casacal.planning.clearance import Clearance, hindered
 from casacal.planning.route import Route, read_route, refuse_plan_of_another
 from casacal.shopfloor.conversation import Answer, answered, command_of, repeats_last, touch_of
 from casacal.shopfloor.gauges import Gauge

@@ -10,8 +10,9 @@ from functools import cached_property
 from casacal.errors import CasacalError, came, refuse_unknown
 from casacal.fit.filters import Belief
 from casacal.model.problem import Problem
-from casacal.planning.candidates import Clearance, refuse_several
+from casacal.planning.candidates import refuse_several
 from casacal.planning.choice import wanted_field, wanted_joints
+from casacal.planning.clearance import Clearance
 from casacal.planning.route import CHECK, FIT, Route
 from casacal.shopfloor.known import (
     Alarm,

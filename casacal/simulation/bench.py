@@ -10,14 +10,16 @@ import numpy as np
 
 from casacal.data.columns import Labels
 from casacal.data.samples import Samples
+from casacal.errors import SimulationError
 from casacal.kernels.block_rows import Batch
 from casacal.model.geometry import Frame
 from casacal.model.instrument import Instrument
+from casacal.model.kinematics import stacked_poses
 from casacal.model.problem import Problem
 from casacal.model.robot import inside_limits, random_joints
 from casacal.model.unknown import Unknown
 from casacal.simulation.cell import Cell, Disturbances, Face, rectangles
-from casacal.simulation.touches import Draw, label_names, plane_coordinates, random_tips, spot, stands
+from casacal.simulation.touches import Draw, label_names, plane_coordinates
 from casacal.values import Array, Index, Rows
 
 
@@ -225,3 +227,39 @@ def _met(bench: Bench, start: Array, target: Array, rows: Index, *, held: bool =
         free[nearer], e[nearer], slopes[nearer] = there[nearer], e_there[nearer], slopes_there[nearer]
         part = np.where(nearer, np.minimum(2 * part, 1.0), part / 4)
     return free, np.asarray((np.abs(e - target) <= 1e3 * FITS * size).all(axis=1) & np.isfinite(free).all(axis=1))
+
+
+def random_tips(problem: Problem) -> Array:
+    """Tips (400, 3; mm) of the nominal arm in random postures; the flange where the tip needs what is not declared."""
+    model, robot = problem.model, problem.robot
+    joints = random_joints(robot, 400, np.random.default_rng(0))
+    data = np.hstack([joints, np.zeros((len(joints), model.pose.numel_in(2) - joints.shape[1]))])
+    z, c = (np.zeros(model.pose.numel_in(i)) for i in (0, 1))
+    (pose,) = model.batch("pose")(z, c, data)
+    return stacked_poses(pose)[:, :3, 3]
+
+
+def spot(reached: Array, k: int | None) -> Array:
+    """Place (3, mm) of the k-th thing among tips (N, 3) in random postures; in their midst where that is None.
+
+    Arms come to it from many sides: it stands neither next to the base nor at arm's length.
+    """
+    reached = reached[np.isfinite(reached).all(axis=1)]
+    if not len(reached):
+        what = "The tip has a place in none of 400 random postures"
+        raise SimulationError(what, "See that the pose is a number there: whether its loops close, and depend on u")
+    midst = np.median(reached, axis=0)
+    if k is None:
+        return np.asarray(midst)
+    away = np.linalg.norm(reached - midst, axis=1)
+    low, high = np.quantile(away, [0.4, 0.6])
+    between = reached[(away >= low) & (away <= high)]
+    return np.asarray(between[k % len(between)])
+
+
+def stands(cell: Disturbances, label: str, place: Array) -> tuple[Array, Array]:
+    """Place of a thing for which none is stated: on the face of that name, or somewhere in the workspace."""
+    if isinstance(cell, Cell):
+        face = cell.face(label)
+        return np.asarray(face.centre), face.axes[0]
+    return place, np.array([0.0, 0.0, 1.0])

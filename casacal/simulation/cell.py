@@ -262,6 +262,7 @@ def triple(values: Sequence[float] | Array) -> tuple[float, float, float]:
     return x, y, z
 
 
+PLATE = 20.0  # mm; how thick a plate is that lies on the table
 COSINES = 100  # waves of random direction and length that make a Gaussian process
 
 

@@ -31,17 +31,16 @@ from casacal.simulation.faults import (
     ways,
     weighed,
 )
+from casacal.simulation.places import default_cell, refuse_cell
 from casacal.simulation.touches import (
     EDGE,
     MOST_ROUNDS,
     ROUNDS,
     Draw,
     TouchingArm,
-    default_cell,
     frame_coordinates,
     own_noise,
     plane_coordinates,
-    refuse_cell,
     refuse_face_settings,
     row_labels,
     true_unknowns,

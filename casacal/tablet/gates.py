@@ -8,7 +8,6 @@ from typing import Any
 from casacal.data.samples import WRITTEN
 from casacal.errors import SimulationError
 from casacal.model.instrument import readings_within
-from casacal.model.problem_text import FILL_IN
 from casacal.planning.candidates import cell_of
 from casacal.planning.route import CHECK, joints_shown, touches_needed
 from casacal.planning.scene import scene
@@ -70,7 +69,6 @@ def files(work: Work) -> dict[str, Any]:
 def _cell(work: Work) -> dict[str, Any]:
     problem, probe = work.source.problem, work.source.problem.instrument.probe
     still = cell_of(problem, work.source.cell)
-    marked = sum(file.text.count(FILL_IN) for file in work.source.files)
     facts = [["Arm", f"{problem.robot.name}, {counted(len(problem.robot.axes), 'joint')}"]]
     facts.append(["Instrument", f"{problem.names[0]}; read: {in_units(problem.layout()) or 'nothing, it touches'}"])
     if probe is not None and probe.column is not None:
@@ -81,11 +79,8 @@ def _cell(work: Work) -> dict[str, Any]:
         (x, y, z), (u, v, w), (wide, deep) = face.centre, face.axes[0], face.size
         place = f"centre ({x:.0f}, {y:.0f}, {z:.0f}) mm, normal ({u:.2f}, {v:.2f}, {w:.2f}), {wide:.0f} x {deep:.0f} mm"
         facts.append([f"Face {face.label}", place])
-    lines = "1 line" if marked == 1 else f"{marked} lines"
-    missing = (
-        f"{lines} of the problem file are marked {FILL_IN}: what stands there is assumed, and the fit relies on it"
-    )
-    return {"state": OPEN if marked else PASSED, "missing": missing if marked else "", "facts": facts}
+    missing = f"{work.source.assumed}, and the fit relies on it" if work.source.assumed else ""
+    return {"state": OPEN if missing else PASSED, "missing": missing, "facts": facts}
 
 
 def _conventions(work: Work) -> dict[str, Any]:

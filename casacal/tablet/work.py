@@ -27,7 +27,7 @@ from casacal.errors import CasacalError, refuse_unknown
 from casacal.files import together, write_text
 from casacal.model.joints import Conventions
 from casacal.model.problem_file import ProblemFile, keep_conventions
-from casacal.planning.candidates import Clearance
+from casacal.planning.clearance import Clearance
 from casacal.planning.route import joints_shown
 from casacal.planning.scene import scene
 from casacal.shopfloor.conversation import doubt
@@ -336,8 +336,8 @@ class Work:
             raise CasacalError("A touch is in doubt", "Settle it first, where touches are measured")
 
         def run() -> None:
+            from casacal.calibration.brief import brief
             from casacal.calibration.calibrate import calibrate
-            from casacal.calibration.summary import brief
 
             samples = self.source.problem.read(self.place.samples)
             found = calibrate(self.source, samples)
@@ -464,7 +464,7 @@ def pendant_table(asked: Mapping[str, Any], turns: Sequence[bool]) -> Table:
 
 def uploaded(asked: Mapping[str, Any], place: Path) -> list[Path]:
     """Files that a window sent, in a folder of their own, under names of ours; raises CasacalError."""
-    from casacal.programs.read import ENDINGS
+    from casacal.programs.endings import ENDINGS
 
     files = asked.get("files")
     if not isinstance(files, list) or not 1 <= len(files) <= 2:
@@ -489,7 +489,8 @@ def corrected(arm: CalibratedArm, paths: Sequence[Path]) -> tuple[list[tuple[str
     from casacal.deployment.compensate import compensate, read_targets
     from casacal.deployment.programs import notes, rounding_of, text_of
     from casacal.programs.correct import compensate_program
-    from casacal.programs.read import is_program, read_program
+    from casacal.programs.endings import is_program
+    from casacal.programs.read import read_program
 
     if is_program(paths[0]):
         found = compensate_program(arm, read_program(paths[0]))

@@ -15,7 +15,7 @@ from casacal.files import MADE
 from casacal.model.kinematics import quaternions_of
 from casacal.model.problem import Problem
 from casacal.model.robot import joint_units, random_joints
-from casacal.planning.candidates import Around, Clearance
+from casacal.planning.clearance import Around, Clearance
 from casacal.simulation.cell import Disturbances
 from casacal.values import Array, FrozenMapping, Index, Rows, Value, is_finite, read_only
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.calibration.as_arm import AsArm
 from casacal.calibration.fresh import Fresh, Opened, opened
-from casacal.calibration.saved import AsArm
 from casacal.data.samples import Samples
 from casacal.deployment.arm import CalibratedArm
 from casacal.errors import CasacalError, SamplesError

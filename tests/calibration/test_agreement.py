@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from casacal import Instrument, Problem, bind, calibrate, check, lm, load_problem, simulate
-from casacal.calibration.set_aside import UNWEIGHTED, _least_expected, _own_noise, disagreement, gross
+from casacal.calibration.agreement import UNWEIGHTED, _least_expected, _own_noise, disagreement
+from casacal.calibration.set_aside import gross
 from casacal.calibration.verdict import verdict_of
 from casacal.data.samples import Measurements
 from casacal.errors import ProblemError

@@ -28,7 +28,7 @@ from casacal import (
     simulate,
     tool_point,
 )
-from casacal.calibration.conventions import mirror_image, mirrors, misfits
+from casacal.calibration.mirror import mirror_image, mirrors, misfits
 from casacal.calibration.result_json import image_words
 from casacal.cli.main import main
 from casacal.data.samples import Measurements

@@ -31,10 +31,10 @@ from casacal import (
     tool_point,
 )
 from casacal.calibration import set_aside
+from casacal.calibration.brief import MOST_LINES, best_cure, brief, next_step
 from casacal.calibration.finding import Finding
 from casacal.calibration.inputs import Reference
 from casacal.calibration.set_aside import gross
-from casacal.calibration.summary import MOST_LINES, best_cure, brief, next_step
 from casacal.calibration.verdict import most_turned, verdict_of, warnings
 from casacal.cli.main import main
 from casacal.data.columns import Labels

@@ -18,8 +18,9 @@ from casacal.changes import Change
 from casacal.changes.explain import AllTests, Cause, Explanation, FittedCause, Look, contenders, explanations, row_bases
 from casacal.data.samples import joined
 from casacal.errors import SamplesError, UnknownNameError
+from casacal.simulation.places import default_cell
 from casacal.simulation.simulate import simulate_one
-from casacal.simulation.touches import Draw, default_cell
+from casacal.simulation.touches import Draw
 from casacal.uncertainty.fresh_rows import FreshRows, chances, likelihood, occam, visible_basis
 
 STANDING = ("floor", "wall", "side")

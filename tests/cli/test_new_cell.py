@@ -10,7 +10,8 @@ from conftest import ROOT
 
 from casacal import Cell, calibrate, load, load_problem, simulate, verify
 from casacal.cli.main import main
-from casacal.planning.candidates import Clearance, pool_of
+from casacal.planning.candidates import pool_of
+from casacal.planning.clearance import Clearance
 
 TABLE = """# name: six
 # convention: standard

@@ -17,7 +17,8 @@ from scipy.spatial.transform import Rotation
 from seals import resealed
 
 from casacal import DialOnPlane, Joint, Parameter, Problem, Robot, calibrate, deg, lm, load_problem, simulate
-from casacal.calibration.result_json import calibration_document, write_simulation
+from casacal.calibration.result_json import calibration_document
+from casacal.calibration.truth import write_simulation
 from casacal.cli.main import main
 from casacal.data.samples import Samples
 from casacal.deployment.arm import CalibratedArm

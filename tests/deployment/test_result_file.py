@@ -25,8 +25,8 @@ import casacal
 from casacal import CasacalError, Instrument, calibrate, effects, load, load_problem, simulate
 from casacal.cli.main import main
 from casacal.deployment.as_data import KINDS, problem_data, problem_from
-from casacal.deployment.result import Level
-from casacal.deployment.result_file import SCHEMA, misfits, read_result, schema_text
+from casacal.deployment.result import SCHEMA, Level
+from casacal.deployment.result_file import misfits, read_result, schema_text
 from casacal.effects import Effect
 from casacal.kernels.program import graph_data, graph_from
 from casacal.model.unknown import Unknown

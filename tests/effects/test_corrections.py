@@ -30,10 +30,10 @@ from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.data.holdout import FACES, REGIONS, splits
 from casacal.deployment.export import export
-from casacal.deployment.result_file import sealed
 from casacal.effects import Backlash, Drift, GravitySag, TransmissionError, kit
 from casacal.effects.selection import at_most, gains, in_sample_gains, times_found, with_effects
 from casacal.errors import ProblemError
+from casacal.files import sealed
 from casacal.simulation import Disturbances
 from casacal.study.benchmark import left
 from casacal.uncertainty.evidence import NormalEquations, evidence

@@ -28,9 +28,9 @@ from casacal import (
     verify,
 )
 from casacal.cli.main import main
-from casacal.deployment.result_file import sealed
 from casacal.effects import Backlash, Effect, FaceForm, JointField, ThermalGrowth, TransmissionError, kit, with_kit
 from casacal.effects.effect import weighted
+from casacal.files import sealed
 from casacal.fit.arm_alone import arm_alone, moving
 from casacal.fit.least_squares import LeastSquares
 from casacal.uncertainty.evidence import _objective, effect_sizes, normal_equations

@@ -21,7 +21,7 @@ from casacal import (
     load_problem,
     simulate,
 )
-from casacal.calibration.conventions import mirror_image
+from casacal.calibration.mirror import mirror_image
 from casacal.cli.main import main
 from casacal.errors import CasacalError, ProblemError, SamplesError
 from casacal.model import passive

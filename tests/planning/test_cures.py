@@ -27,8 +27,9 @@ from casacal import (
     plate,
     simulate,
 )
+from casacal.calibration.brief import best_cure, brief, fall, nothing_helps
 from casacal.calibration.result_json import calibration_document
-from casacal.calibration.summary import best_cure, brief, fall, nothing_helps, summary
+from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
 from casacal.data.columns import Labels
 from casacal.data.samples import joined

@@ -17,9 +17,9 @@ from casacal.errors import CasacalError
 from casacal.fit.nominal import nominal_tips
 from casacal.model.capsules import Skeleton, between, to_box
 from casacal.model.robot import random_joints
-from casacal.planning.candidates import Clearance
 from casacal.planning.cell_drawing import CellDrawing
 from casacal.planning.choice import Choice
+from casacal.planning.clearance import Clearance
 from casacal.planning.handouts import approaches, program_text, sheet_page
 from casacal.planning.plan import touches_for
 from casacal.planning.set_ups import set_ups

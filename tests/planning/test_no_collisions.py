@@ -11,7 +11,7 @@ import pytest
 from planned_arms import ARMS
 
 from casacal import CasacalError, Cell, DialOnPlane, Face, Joint, Problem, Robot, plan, tool_point
-from casacal.planning.candidates import Clearance
+from casacal.planning.clearance import Clearance
 
 STEP = 4.0  # mm between the balls that stand for a link
 THICK = {"UR5": 62.0, "UR10e": 89.0, "IRB 120": 42.0, "LBR iiwa 14": 61.0, "SCARA": 41.0}  # link radius of a plan, mm

@@ -24,10 +24,11 @@ from casacal.cli.plan import _following
 from casacal.errors import SimulationError
 from casacal.model.capsules import above_table
 from casacal.model.kinematics import translate_x
-from casacal.planning.candidates import Clearance, pool_of
+from casacal.planning.candidates import pool_of
+from casacal.planning.clearance import Clearance
 from casacal.planning.set_ups import POOL, set_ups
 from casacal.simulation.cell import Disturbances
-from casacal.simulation.touches import default_cell
+from casacal.simulation.places import default_cell
 
 pytestmark = pytest.mark.usefixtures("set_ups_of_few")
 BY_NAME = {arm.name: arm for arm in ARMS}

@@ -15,7 +15,7 @@ from scipy.stats import chi2, multivariate_normal
 
 from casacal import CasacalError, bind, lm, load_problem, plan
 from casacal.model.capsules import Skeleton
-from casacal.planning.candidates import Clearance
+from casacal.planning.clearance import Clearance
 from casacal.shopfloor import Session
 from casacal.shopfloor.conversation import ended
 from casacal.shopfloor.known import LinearRows, _fitted, error_below, spectrum

@@ -37,7 +37,7 @@ from casacal.model.kinematics import rotate_z, translate_x
 from casacal.simulation import Disturbances
 from casacal.simulation.bench import Bench
 from casacal.simulation.cell import flatness_din_876, form_error
-from casacal.simulation.touches import default_cell
+from casacal.simulation.places import default_cell
 
 
 def true_tips(simulation, joints, readings, sign=1):

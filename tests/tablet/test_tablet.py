@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from casacal import CasacalError, calibrate, load_problem, plan
 from casacal.cli.main import main
 from casacal.planning import read_route
-from casacal.planning.candidates import Clearance
+from casacal.planning.clearance import Clearance
 from casacal.planning.plan import write_plan
 from casacal.planning.scene import scene
 from casacal.shopfloor.controllers import controller

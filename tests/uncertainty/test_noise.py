@@ -9,7 +9,8 @@ import pytest
 from conftest import ROOT
 
 from casacal import CasacalError, Problem, bind, calibrate, huber, lm, simulate
-from casacal.calibration.summary import next_step, summary
+from casacal.calibration.brief import next_step
+from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.data.columns import Labels
