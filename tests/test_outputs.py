@@ -372,12 +372,12 @@ def test_what_casacal_planned_or_simulated_may_be_written_over(result, tmp_path)
 
 
 def test_simulate_writes_both_files_or_neither(tmp_path, monkeypatch, capsys):
-    from casacal.calibration import result_json
+    from casacal.calibration import truth
 
     def fails(*_, **__):
         raise CasacalError("no truth", "none")
 
-    monkeypatch.setattr(result_json, "truth_document", fails)
+    monkeypatch.setattr(truth, "truth_document", fails)
     assert main(["simulate", str(HSR), "--out", str(tmp_path / "x" / "s.csv")]) == 2
     assert list(tmp_path.iterdir()) in ([], [tmp_path / "x"])
     assert not (tmp_path / "x").exists()

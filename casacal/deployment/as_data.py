@@ -38,7 +38,7 @@ HOMES: Mapping[str, str] = {
     "model.points": "TrackedPoint KnownPoint FixedPoint Sockets Distance SphereTouch SelfContact",
     "model.tracked_pose": "TrackedPose",
     "effects.compliance": "GravitySag LinkSag TorqueCompliance",
-    "effects.gears": "Backlash GearRipple TransmissionError",
+    "effects.gears": "Backlash GearRipple JointCoupling TransmissionError",
     "effects.smooth": "Drift FaceForm JointField ThermalGrowth",
 }
 KINDS: Mapping[str, str] = {name: f"casacal.{home}" for home, names in HOMES.items() for name in names.split()}

@@ -10,6 +10,7 @@ from casacal.effects.effect import Effect as Effect
 from casacal.effects.effect import weighted as weighted
 from casacal.effects.gears import Backlash as Backlash
 from casacal.effects.gears import GearRipple as GearRipple
+from casacal.effects.gears import JointCoupling as JointCoupling
 from casacal.effects.gears import TransmissionError as TransmissionError
 from casacal.effects.kit import kit as kit
 from casacal.effects.kit import rich_kit as rich_kit

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from casacal.effects.compliance import DOWN, GravitySag, LinkSag
 from casacal.effects.effect import Effect
-from casacal.effects.gears import Backlash, GearRipple, TransmissionError
+from casacal.effects.gears import Backlash, GearRipple, JointCoupling, TransmissionError
 from casacal.effects.smooth import Drift, FaceForm, JointField, ThermalGrowth
 from casacal.effects.trusted import CONSTANTS
 from casacal.model.problem import Problem
@@ -21,6 +21,7 @@ def kit(*, down: tuple[float, float, float] = DOWN, links: bool = False) -> tupl
         TransmissionError(order=1),
         TransmissionError(order=2),
         GearRipple(),
+        JointCoupling(),
         LinkSag(down=down) if links else GravitySag(down=down),
         Backlash(),
         FaceForm(),

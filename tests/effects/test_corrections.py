@@ -245,7 +245,8 @@ def test_fresh_rows_of_an_arm_that_sags_are_expected_where_they_are(sagging, tmp
 def test_nothing_is_corrected_where_nothing_errs():
     source = load_problem(UR5)
     found = calibrate(source, simulate(source.problem, source.cell, samples=120, seed=2).samples, reference=False)
-    assert {each.key for each in found.tried} == {"give", "wave1", "wave2"}  # backlash and growth need more than joints
+    # backlash and growth need more than joints
+    assert {each.key for each in found.tried} == {"coupling", "give", "wave1", "wave2"}
     assert found.corrected == ()
     assert not any(each.unseen for each in found.tried)
     assert "None of them is corrected" in found.summary()
