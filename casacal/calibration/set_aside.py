@@ -32,7 +32,7 @@ REGION = 0.1  # part of a face's spread of touches within which these are of one
 ALONG = math.cos(math.radians(10))  # of the angle up to which plungers stand alike
 SHARED_BY_FEW = 15.0  # standard deviations beyond which a row is wrong even where its neighbours are off as well
 CHANCE = 1e-4  # chance that a clean set has any row called an outlier (Bonferroni)
-FLIPPED_ROWS = "orientation flipped"
+FLIPPED_ROWS, OUTLIERS = "orientation flipped", "outliers"
 FLIPPED = 0.3  # chord of the least turn by which the two poses of a marker differ
 TURNS_MM = (1.0, 0.5, 2.54, 0.2)
 """Length that one turn of a pointer shows, by dials on sale; several turns are only looked for of the first."""
@@ -166,7 +166,7 @@ def single_rows(bound: BoundProblem, result: Result, found: Outliers) -> list[Fi
             off = f"{counted(len(lines))} off by up to {found.worst:.0f} standard deviations"
             fix = "Measure them again or remove them; calibrate leaves them out where they are few"
             cause = f"{off}; more than {found.limit:.1f} is not chance"
-            findings.append(Finding("error", "outliers", cause, fix, lines, name))
+            findings.append(Finding("error", OUTLIERS, cause, fix, lines, name))
     return findings
 
 
@@ -364,7 +364,7 @@ def strays(problem: Problem, samples: Samples, scatter: float) -> tuple[Rows, li
     if lost:
         cause = "the tips are far from every plane, even with the arm as drawn"
         fix = "Check joints and readings of these rows, or remove them"
-        findings.append(Finding("error", "outliers", cause, fix, tuple(lost)))
+        findings.append(Finding("error", OUTLIERS, cause, fix, tuple(lost)))
     return bad, findings
 
 
@@ -387,7 +387,7 @@ def _lost_places(problem: Problem, samples: Samples, scatter: float) -> tuple[Ro
         return np.zeros(len(samples), dtype=bool), []
     cause = f"{counted(int(bad.sum()), 'place')} far from where the arm, as drawn, and the others put it"
     fix = "Remove these lines, or measure them again, if the target was lost; else look at their joint values"
-    about = "lost target" if 2 * len(np.unique(places[bad], axis=0)) <= bad.sum() else "outliers"
+    about = "lost target" if 2 * len(np.unique(places[bad], axis=0)) <= bad.sum() else OUTLIERS
     lines = tuple(samples.lines[k] for k in np.flatnonzero(bad).tolist())
     return bad, [Finding("error", about, cause, fix, lines)]
 

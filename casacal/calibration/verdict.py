@@ -15,6 +15,7 @@ from casacal.calibration.calibration import FAR, LACK_OF_FIT, Calibration, parts
 from casacal.calibration.finding import Finding
 from casacal.calibration.motion import tip_extremes
 from casacal.calibration.numbers import SCALE, TOOL, without_its_likes
+from casacal.calibration.set_aside import OUTLIERS, robust_fit, studentised_outliers
 from casacal.data.samples import Measurements
 from casacal.deployment.result import Verdict
 from casacal.effects.selection import at_most, errors_are_shared
@@ -456,6 +457,10 @@ def wrong_with_samples(calibration: Calibration) -> tuple[Finding, ...]:
     found = calibration.data_errors if calibration.suspicious else calibration.plain_errors
     own = [each for each in calibration.instrument_findings if each.severity == "error"]
     reported = {"misfit", SCALE, *(error.about for error in own)}
+    if any(error.about == OUTLIERS for error in found) and any(calibration.fit.beside):
+        robust = robust_fit(calibration.fit)
+        if robust is None or not studentised_outliers(*robust).rows:  # effects explain what geometry alone does not
+            reported.add(OUTLIERS)
     if any(error.about.endswith(" elsewhere") for error in found):
         reported |= {f"{name} elsewhere" for name in calibration.borne_out}
     return tuple(without_its_likes([*(error for error in found if error.about not in reported), *own]))

@@ -39,7 +39,8 @@ HOMES: Mapping[str, str] = {
     "model.tracked_pose": "TrackedPose",
     "effects.compliance": "GravitySag LinkSag TorqueCompliance",
     "effects.gears": "Backlash GearRipple JointCoupling TransmissionError",
-    "effects.smooth": "Drift FaceForm JointField ThermalGrowth",
+    "effects.trusted": "FocalLength",
+    "effects.smooth": "Drift FaceForm JointField PlateForm SphereForm ThermalGrowth",
 }
 KINDS: Mapping[str, str] = {name: f"casacal.{home}" for home, names in HOMES.items() for name in names.split()}
 """Classes that may stand in such data, and the modules that define them: nothing else is ever made of the data.

@@ -20,7 +20,10 @@ from casacal.effects.kit import with_rich_kit as with_rich_kit
 from casacal.effects.smooth import Drift as Drift
 from casacal.effects.smooth import FaceForm as FaceForm
 from casacal.effects.smooth import JointField as JointField
+from casacal.effects.smooth import PlateForm as PlateForm
+from casacal.effects.smooth import SphereForm as SphereForm
 from casacal.effects.smooth import ThermalGrowth as ThermalGrowth
+from casacal.effects.trusted import FocalLength as FocalLength
 
 # names of earlier versions
 GearWaves, GravityGive, LinkGive, MeasuredGive = TransmissionError, GravitySag, LinkSag, TorqueCompliance

@@ -5,8 +5,8 @@ from __future__ import annotations
 from casacal.effects.compliance import DOWN, GravitySag, LinkSag
 from casacal.effects.effect import Effect
 from casacal.effects.gears import Backlash, GearRipple, JointCoupling, TransmissionError
-from casacal.effects.smooth import Drift, FaceForm, JointField, ThermalGrowth
-from casacal.effects.trusted import CONSTANTS
+from casacal.effects.smooth import Drift, FaceForm, JointField, PlateForm, SphereForm, ThermalGrowth
+from casacal.effects.trusted import CONSTANTS, FocalLength
 from casacal.model.problem import Problem
 from casacal.model.term import Term
 
@@ -25,9 +25,12 @@ def kit(*, down: tuple[float, float, float] = DOWN, links: bool = False) -> tupl
         LinkSag(down=down) if links else GravitySag(down=down),
         Backlash(),
         FaceForm(),
+        SphereForm(),
+        PlateForm(),
         JointField(),
         Drift(),
         ThermalGrowth(),
+        FocalLength(),
         CONSTANTS,
     )
 

@@ -13,8 +13,9 @@ from scipy.linalg import solve_triangular
 
 from casacal.data.samples import Samples
 from casacal.effects.effect import Effect, weighted
-from casacal.model.kinematics import Expression, Product
-from casacal.model.term import Here, Site, SurveyedRows
+from casacal.model.kinematics import Expression, Product, transform_point
+from casacal.model.points import KnownPoint, SphereTouch
+from casacal.model.term import FaceFrame, Here, Site, SurveyedRows
 from casacal.model.unknown import Parameter
 from casacal.values import Array
 
@@ -102,6 +103,70 @@ class FaceForm(Effect):
             for i, j, _ in self._terms
         ]
         return -ca.dot(u, ca.vertcat(*sines))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SphereForm(Effect):
+    """Spheres that are not round: a smooth radius over the directions of each, without size and place.
+
+    The harmonics of second degree, u' A u with u the direction from centre to tip and A symmetric without trace; those
+    of the zeroth and first are radius and centre. Balls ground between plates are of such a form.
+
+    Args:
+        size: standard deviation of the radius over all directions, mm.
+
+    """
+
+    size: float = 3e-3
+    doubt: float = 10.0
+
+    moves = False
+    most = 1e3
+    key = "roundness"
+    words = "form error of the spheres"
+
+    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
+        """Five amplitudes for each sphere, mm."""
+        if not isinstance(site.instrument, SphereTouch):
+            return {}
+        return {self.key: weighted(np.ones(5), self.size, "mm", site.instrument.centre.per)}
+
+    def residual(self, here: Here) -> Expression:
+        """Residual change: minus the rise of the sphere where the ball touches it, mm."""
+        away = transform_point(here.pose, here.p.tool) - here.p.centre
+        x, y, z = ca.vertsplit(away / ca.norm_2(away))
+        waves = [x * y, y * z, x * z, (x**2 - y**2) / 2, (3 * z**2 - 1) / math.sqrt(12)]  # each of mean square 1 / 15
+        return -ca.dot(getattr(here.p, self.key), math.sqrt(3) * ca.vertcat(*waves))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlateForm(Effect):
+    """A plate of known points that is bent and twisted: a second-degree height over it, along its normal.
+
+    Args:
+        size: standard deviation of each of the three heights at the edge, mm.
+
+    """
+
+    size: float = 0.01
+    doubt: float = 10.0
+
+    moves = False
+    most = 1e3
+    key = "bow"
+    words = "form error of the plate"
+
+    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
+        """Bend along, twist, and bend across, mm."""
+        return {self.key: weighted(np.ones(3), self.size, "mm")} if isinstance(site.instrument, KnownPoint) else {}
+
+    def residual(self, here: Here) -> Expression:
+        """Residual change: minus the height of the row's point, mm, in the plate's frame."""
+        assert isinstance(here.instrument, KnownPoint)
+        frame = FaceFrame.of(np.array(list(here.instrument.points.values())))
+        point = ca.vertcat(here.row.x, here.row.y, here.row.z)
+        a, b = ca.vertsplit(ca.mtimes(frame.axes, point - frame.centre) / frame.half)
+        return -np.cross(*frame.axes) * ca.dot(getattr(here.p, self.key), ca.vertcat(a**2, a * b, b**2))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,13 +10,14 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 
-from casacal.effects.effect import Effect
+from casacal.effects.effect import Effect, weighted
 from casacal.fit.bound_problem import BoundProblem
 from casacal.fit.least_squares import Result
 from casacal.model.instrument import Trusted
 from casacal.model.kinematics import Expression
 from casacal.model.problem import Problem
 from casacal.model.term import Here, Site
+from casacal.model.tracked_pose import POSITION, TrackedPose
 from casacal.model.unknown import Parameter
 from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 from casacal.values import Array
@@ -93,6 +94,38 @@ def with_constants(problem: Problem) -> Problem:
 
 def _numbered(name: str, count: int) -> list[str]:
     return [name] if count == 1 else [f"{name}{i}" for i in range(1, count + 1)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FocalLength(Effect):
+    """A camera's focal length: poses err in proportion along its axis, the z axis of the body.
+
+    What lies across comes of the board's size and is right. Poses of what is no camera show none of it.
+
+    Args:
+        size: part of the distance between camera and board.
+
+    """
+
+    size: float = 5e-4
+    doubt: float = 4.0
+
+    moves = False
+    most = 20.0
+    key = "focal"
+    words = "error of the focal length"
+
+    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
+        """One part, for poses that are read."""
+        return {self.key: weighted(np.ones(1), self.size, "1")} if isinstance(site.instrument, TrackedPose) else {}
+
+    def reading(self, here: Here) -> Mapping[str, Expression]:
+        """Corrections of the position along the body's z axis."""
+        assert isinstance(here.instrument, TrackedPose)
+        place = ca.vertcat(*(getattr(here.row, name) for name in POSITION))
+        axis = here.instrument.turn(here.row)[:, 2]
+        along = getattr(here.p, self.key) * ca.dot(axis, place) * axis
+        return dict(zip(POSITION, ca.vertsplit(along), strict=True))
 
 
 COVERED = 3.0  # standard deviations of a constant up to which its prior is what covers an error of it
