@@ -22,7 +22,7 @@ from measured_world import World
 from played_controllers import PlayedArm, rtde_controller
 from scipy.spatial.transform import Rotation
 
-from casacal import CasacalError, calibrate, load_problem, plan
+from casacal import CasacalError, calibrate, load_problem, plan, simulate
 from casacal.cli.main import main
 from casacal.deployment.predict import predict
 from casacal.deployment.programs import no_gain
@@ -739,10 +739,8 @@ def way(hsr, tmp_path_factory):
     problem_of_its_own(base)
     made = plan(hsr.problem, hsr.cell, touches=44, pool=300, starts=1, seed=8)
     write_plan(base / "work" / "plan.csv", made, hsr.problem, hsr.name)
-    work, world = (
-        page_of(base),
-        World(hsr.problem, read_route(base / "work" / "plan.csv", hsr.problem.layout()), seed=6),
-    )
+    work = page_of(base)
+    world = World(hsr.problem, work.recording.session.plan, seed=6)
     for number in range(1, 45):
         enter(work, well_made(world, number))
         while work.recording.session.alarm is not None:
@@ -787,19 +785,24 @@ JOINTS = np.radians([[10, 20, 30, -50, -55, -50], [0, 10, 20, 0, 30, 0]])
 SCRIPT = f"movej([{', '.join(f'{q:.9f}' for q in JOINTS[1])}])\n"
 
 
+@pytest.fixture(scope="module")
+def ur5_arm():
+    source = load_problem(ROOT / "problems" / "ur5")
+    return calibrate(source, simulate(source.problem, source.cell, samples=80, seed=3).samples).arm
+
+
 def hand_over(work, frame, **files):
-    sent = [
-        {"name": name.replace("_", "."), "data": base64.b64encode(text.encode()).decode()}
-        for name, text in files.items()
-    ]
+    data = {name.replace("_", "."): base64.b64encode(text.encode()).decode() for name, text in files.items()}
+    sent = [{"name": name, "data": each} for name, each in data.items()]
     found = work.do("correct", {"version": work.version, "files": sent, "frame": frame})
     return {each["name"]: base64.b64decode(each["data"]).decode() for each in found["files"]}, found["said"]
 
 
 @pytest.mark.parametrize(("frame", "expected"), [("tip", "expected_mm"), ("flange", "flange_expected_mm")])
-def test_what_was_chosen_goes_where_it_was_meant_to_go(calibrated, frame, expected):
+def test_what_was_chosen_goes_where_it_was_meant_to_go(calibrated, ur5_arm, frame, expected):
     """Tip or flange of the calibrated arm stand where those of the nominal one would; the error to expect is said."""
     work = page_of(calibrated)
+    work.arm = ur5_arm  # whose tool is no better known than its flange
     gate = document(work)["gates"]["hand_over"]
     assert [value for value, _ in gate["frames"]] == ["tip", "flange"]  # the first is what Decide speaks of
     value = getattr(work.arm.found.tip, expected)
