@@ -17,7 +17,8 @@ from casacal.shopfloor.recording import Recording
 from casacal.shopfloor.session import Session
 from casacal.shopfloor.touch import SHOWN, Touch, rows_of
 from casacal.simulation.cell import Cell
-from casacal.tablet.work import ENOUGH_POSES, ORIENTATIONS, Work, for_page, unforeseen
+from casacal.tablet.asked import ENOUGH_POSES, ORIENTATIONS
+from casacal.tablet.work import Work, for_page, unforeseen
 from casacal.wording import counted, figures, mm, sentence
 
 PASSED, OPEN, AHEAD = "passed", "open", "ahead"

@@ -32,9 +32,10 @@ from casacal.planning.plan import write_plan
 from casacal.planning.scene import scene
 from casacal.shopfloor.controllers import controller
 from casacal.shopfloor.gauges import gauge
+from casacal.tablet.asked import number_of, pendant_table, uploaded
 from casacal.tablet.gates import document
 from casacal.tablet.server import address_of, is_this_machine, listening, server, token_of
-from casacal.tablet.work import OutdatedError, Work, Workplace, for_page, number_of, pendant_table, uploaded
+from casacal.tablet.work import OutdatedError, Work, Workplace, for_page
 from casacal.wording import mm
 
 PLAIN = gauge("plain")
