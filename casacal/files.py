@@ -34,9 +34,10 @@ MARKS = re.compile(
     rb"(?m)^[ \t]*(?:#|[!;*]|//|<!--) ?(?:[^\n]*[ (])?written by casacal (?:\d|compensate:|demo|study|bench|for )"
     rb'|\A"""[^\n]*; written by casacal \d'
     rb"|^[ \t]*[#!;] (?:planned|simulated) by casacal "
-    rb'|\A\s*\{\s*"written_by": "casacal |<meta name="generator" content="written by casacal">'
+    rb'|\A\s*\{\s*"written_by": "(?:written by )?casacal |<meta name="generator" content="written by casacal">'
     rb"|\A\x89PNG[^\n]*\n[\s\S]*Software\x00casacal "
 )
+MEASURED_HEAD = b"# measured by casacal"
 MEASURED = re.compile(rb"# measured by casacal|(?m:^[^#\n]*order,touch,purpose,kept)")
 FILLED_IN = re.compile(rb"(?m)^(?:[^#\n]*[,;\t])?reading_")  # a plan into which somebody wrote readings
 
@@ -58,6 +59,15 @@ def refuse_others(path: str | Path, *, option: str = "--out") -> None:
     if measured or (head and not MARKS.search(ends)):
         what = "holds measured rows" if measured else "was not written by casacal"
         raise CasacalError(f"'{target}' exists and {what}", f"Name another {option}, or remove it first")
+
+
+def stamp(path: Path) -> tuple[int, ...]:
+    """Size and time of the last change, by which changes of others are seen; empty where there is nothing."""
+    try:
+        found = path.stat()
+    except OSError:
+        return ()
+    return found.st_mode, found.st_size, found.st_mtime_ns
 
 
 def write_text(path: str | Path, text: str, *, own: bool = False) -> None:
@@ -110,7 +120,8 @@ def writable(place: Path) -> Iterator[None]:
     except OSError as error:
         if place.parent.name.startswith(PREFIX):  # written aside, where nobody asked for it
             place = place.parent.parent / place.name
-        raise CasacalError(f"'{place}' cannot be written ({error.strerror})", "Choose another place") from error
+        fix = "Make room or give the right to write there, or choose another place"
+        raise CasacalError(f"'{place}' cannot be written ({error.strerror})", fix) from error
 
 
 def check_writable(folder: Path) -> None:
@@ -207,8 +218,8 @@ def together(folder: Path, names: Sequence[str], *, named: Path | None = None, o
             with _locked(folder):
                 sweep(folder, PREFIX)
                 _finish(folder)
-                for name in () if own else names:
-                    refuse_others(folder / name)
+                for name in names:
+                    _refuse(folder / name, own=own)  # before anything is made ready that would have to be placed
                 place = Path(tempfile.mkdtemp(dir=folder, prefix=f"{PREFIX}{mark_of_this_run()}-"))
                 try:
                     yield place
@@ -262,11 +273,7 @@ def _finish(folder: Path) -> None:
             continue
         ends = {name: Path(os.path.realpath(folder / name)) for name, _ in rows}
         for target in ends.values():
-            if not own:
-                refuse_others(target)
-            elif target.exists() and not target.read_bytes()[:LOOKED_AT].startswith(b"# measured by casacal"):
-                fix = f"Move it away, or remove '{ready}', which holds what should be there"
-                raise CasacalError(f"'{target}' was put in the place of measured rows", fix)
+            _refuse(target, own=own, fix=f"Move it away, or remove '{ready}', which holds what should be there")
         last = rows[-1][0]
         if (ready / last).exists() and len(rows) > 1 and not own:
             ends[last].unlink(missing_ok=True)
@@ -276,6 +283,14 @@ def _finish(folder: Path) -> None:
             elif (ready / name).exists():
                 shutil.move(ready / name, ends[name])  # which copies where a link leads to another disk
         shutil.rmtree(ready, ignore_errors=True)
+
+
+def _refuse(target: Path, *, own: bool, fix: str = "Move it away") -> None:
+    """Raise CasacalError where a set of files must not be put in a place: `own` ones are measured rows."""
+    if not own:
+        refuse_others(target)
+    elif target.is_file() and not (target.read_bytes() or MEASURED_HEAD).startswith(MEASURED_HEAD):
+        raise CasacalError(f"'{target}' was put in the place of measured rows", fix)
 
 
 def recover(folder: Path) -> None:

@@ -132,9 +132,9 @@ def _is_for_program(options: argparse.Namespace) -> bool:
     if named is None:
         raise CasacalError("There are no TARGETS", "Name the result and then targets or a program")
     if is_program(named):
-        if options.format != "csv" or options.frame != "flange" or options.force:
-            fix = "Leave it out: a program keeps its language, its tools say what its poses are of, and none is forced"
-            raise CasacalError("--format, --frame and --force are for lists of targets", fix)
+        if options.format != "csv" or options.force:
+            fix = "Leave it out: a program keeps its language, and none is forced"
+            raise CasacalError("--format and --force are for lists of targets", fix)
         return True
     if wanted:
         fix = f"Name a file that ends in {', '.join(ENDINGS)}"
@@ -163,6 +163,7 @@ def _run_program(options: argparse.Namespace, largest: float) -> int:
     corrected = compensate_program(
         result,
         program,
+        frame=options.frame,
         inverse=options.inverse,
         onto=onto,
         begin=begin,
@@ -189,6 +190,7 @@ def _write(corrected: CorrectedProgram, outs: list[Path]) -> None:
 def _tell(options: argparse.Namespace, arm: CalibratedArm, corrected: CorrectedProgram, written: list[str]) -> int:
     """Print what was done to a program; returns 1 where moves stay as they are, else 0."""
     from casacal.deployment.arm import column_notes
+    from casacal.deployment.programs import no_gain
 
     program, moves, left = corrected.program, list[dict[str, Any]](), list[dict[str, Any]]()
     for move in sorted(program.moves, key=lambda move: -corrected.correction_mm[move.target]):
@@ -197,13 +199,15 @@ def _tell(options: argparse.Namespace, arm: CalibratedArm, corrected: CorrectedP
             moves.append({"line": move.line, "motion": move.motion, "target": program.targets[i].name})
             moves[-1] |= {"correction_mm": corrected.correction_mm[i], "left_mm": corrected.left_mm[i]}
             moves[-1] |= {"correction_deg": math.degrees(corrected.correction_rad[i])}
-            moves[-1] |= {"expected_mm": corrected.expected_mm[i] if arm.found.tip.flange_expected_mm > 0 else math.nan}
+            known = arm.found.tip.flange_expected_mm > 0 or options.frame == "tip"
+            moves[-1] |= {"expected_mm": corrected.expected_mm[i] if known else math.nan}
     left += [{"line": each.line, "why": each.what} for each in program.puzzles]
     left += [
         {"line": program.targets[i].line, "why": f"'{program.targets[i].name}': {why}"}
         for i, why in corrected.why.items()
     ]
-    care = [words for words in (arm.caution, *column_notes(arm, corrected.missing, ())) if words is not None]
+    gain = no_gain(corrected.correction_mm[corrected.reached], corrected.expected_mm[corrected.reached])
+    care = [words for words in (*gain, arm.caution, *column_notes(arm, corrected.missing, ())) if words is not None]
     joints = [abs(value) for target in program.targets if target.kind == "joints" for value in target.values]
     if program.language != "urscript" and 0 < max(joints, default=0.0) <= math.tau:
         care.append("warning: no joint value is larger than 6.3 degrees: are they radians?")

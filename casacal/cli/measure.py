@@ -137,8 +137,8 @@ def _held(recording: Recording, line: SerialLine | None) -> None:
             if proposed.number is None and not _further(session):
                 break
             if recording.warning is not None:
-                say_paragraphs(f"warning: do not go to the next posture ({recording.warning}); s skips it")
-            say_paragraphs(posture(proposed, recording.file.layout))
+                say_paragraphs(f"warning: {recording.warning}")
+            say_paragraphs(posture(session, proposed))
         if recording.doubled is None:
             say_paragraphs(waiting(session, proposed, by_gauge=line is not None))
         entry = next(entered, None)

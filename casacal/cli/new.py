@@ -90,6 +90,7 @@ def run(options: argparse.Namespace) -> int:
     say_paragraphs(f"Written: {place}", *(f"To fill in: {words}" for words in missing))
     following = f"casacal simulate {place} --out out/{options.name}_samples.csv"
     say_paragraphs(f"Next: {f'fill these in {place}/problem.py, then ' if missing else ''}{following}")
+    say_paragraphs(f"Or go the whole way, beside the robot, on a page: casacal serve {place}")
     return DONE
 
 

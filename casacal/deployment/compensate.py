@@ -37,6 +37,8 @@ from casacal.values import EMPTY, Array, FrozenMapping, Rows, Value, frozen
 PLACE, QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 POSE: Mapping[str, Dimension] = FrozenMapping({**dict.fromkeys(PLACE, "length"), **dict.fromkeys(QUATERNION, "number")})
 
+NAMES = ("name", "id", "target", "point")
+"""Columns of targets that only say which is which, and stand in the answer as well."""
 UNIT_LENGTH = 1e-3  # how far a quaternion may be from unit length: more than rounding leaves is a mistake
 
 
@@ -45,7 +47,7 @@ class Targets(Value):
     """Rows of targets: `joints` (N, n; rad, mm), `poses` as positions (N, 3; mm) and rotations (N, 3, 3), or both.
 
     With poses, joints only name the branch to take. lines, text: each row's line in its file, and the row itself.
-    extra: further columns, as of `Samples`, such as torques.
+    extra: further columns, as of `Samples`, such as torques. names: text by column that says which target is which.
     """
 
     joints: Array | None
@@ -55,6 +57,7 @@ class Targets(Value):
     file: str
     sha256: str
     extra: Mapping[str, Array | tuple[str, ...]] = field(default_factory=dict)
+    names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -128,8 +131,9 @@ def _of_table(table: Table, source: ProblemFile) -> Targets:
     layout = Layout(required.joints if jointed else (), POSE if posed else EMPTY, further=required.further)
     text = tuple(",".join(row) for row in table.rows)
     extra = FrozenMapping(read_further(table.columns, layout))
+    names = FrozenMapping({name: tuple(table.column(name)) for name in table.header if name.lower() in NAMES})
     if not posed:
-        return Targets(joints, None, table.lines, text, table.file, table.sha256, extra)
+        return Targets(joints, None, table.lines, text, table.file, table.sha256, extra, names)
     found = match_columns(table.columns, layout)
     numbers = {name: np.array(table.numbers(column)) * factor for name, (column, factor) in found.items()}
     positions, wxyz = (np.column_stack([numbers[name] for name in part]) for part in (PLACE, QUATERNION))
@@ -137,7 +141,7 @@ def _of_table(table: Table, source: ProblemFile) -> Targets:
     for i in np.flatnonzero(np.abs(lengths - 1) > UNIT_LENGTH)[:1]:
         fix = "Give a unit quaternion qw,qx,qy,qz"
         raise SamplesError(table.file, f"the quaternion has the length {lengths[i]:.6g}", fix, line=table.lines[i])
-    return Targets(joints, (positions, turns_of(wxyz)), table.lines, text, table.file, table.sha256, extra)
+    return Targets(joints, (positions, turns_of(wxyz)), table.lines, text, table.file, table.sha256, extra, names)
 
 
 def rows_with(targets: Targets, which: NDArray[np.intp], joints: Array) -> Samples:

@@ -22,7 +22,7 @@ from casacal.files import MADE
 from casacal.model.robot import Robot
 from casacal.uncertainty.figures import rms
 from casacal.values import Array, FrozenMapping
-from casacal.wording import figures
+from casacal.wording import counted, figures
 
 LONGEST = 300  # letters in a comment
 
@@ -131,7 +131,7 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
     lines = [
         f"{MADE}: compensate {targets.file} (SHA-256 {targets.sha256[:12]}), result {result.file} of {robot.name}",
         "joint values are those that the controller shows",
-        f"{len(targets)} targets: " + ", ".join(f"{count} {word}" for word, count in counts.items()),
+        f"{counted(len(targets), 'target')}: " + ", ".join(f"{count} {word}" for word, count in counts.items()),
     ]
     if result.found.method == "truth":
         lines.append(f"WARNING: {TRUTH}")
@@ -149,6 +149,7 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
             f"what the correction {'removes' if denial is None else 'changes'} there: "
             f"{_figures(compensation.correction_mm[reached], 'mm')}",
         ]
+        lines += no_gain(compensation.correction_mm[reached], compensation.expected_mm[reached])
     if compensation.frame == "flange" and math.isnan(result.found.tip.flange_expected_mm) and denial is None:
         lines.append("the error of the flange is not known, see the verdict: --frame tip if this tip does the work")
     elif reached.any() and denial is None:
@@ -170,6 +171,16 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
     return lines
 
 
+def no_gain(removed: Array, left: Array) -> list[str]:
+    """A warning where errors (N,; mm) that a correction leaves are not expected to be smaller than what it removes."""
+    if not (len(removed) and rms(left) >= rms(removed)):  # what is left may be unknown
+        return []
+    return [
+        f"warning: the error to expect after this correction ({figures(rms(left), 2)} mm RMS) is not smaller than what "
+        f"it removes ({figures(rms(removed), 2)} mm RMS): targets may be no better than without it"
+    ]
+
+
 def _figures(values: Array, unit: str) -> str:
     return f"{figures(rms(values), 2)} {unit} RMS ({figures(float(values.max()), 2)} {unit} at worst)"
 
@@ -177,7 +188,9 @@ def _figures(values: Array, unit: str) -> str:
 def _table(compensation: Compensation, result: CalibratedArm) -> Iterator[str]:
     turns = result.source.problem.robot.revolute
     names = ",".join(f"q{i}_{'deg' if turn else 'mm'}" for i, turn in enumerate(turns, 1))
-    yield f"line,{names},status,residual_mm,residual_mrad,correction_mm,correction_deg,expected_mm"
+    named = compensation.targets.names
+    names = ",".join(("line", *named, names))
+    yield f"{names},status,residual_mm,residual_mrad,correction_mm,correction_deg,expected_mm"
     denied = result.denial is not None
     written = compensation.joints * np.where(turns, 180 / math.pi, 1.0)
     for i, outcome in enumerate(compensation.outcomes):
@@ -190,12 +203,18 @@ def _table(compensation: Compensation, result: CalibratedArm) -> Iterator[str]:
         )
         joints = [_cell(value, compensation.rounding.decimals) for value in written[i]]
         known = [_cell(value, 6) for value in figures]
-        yield ",".join([str(compensation.targets.lines[i]), *joints, outcome.value, *known])
+        told = [_quoted(cells[i]) for cells in named.values()]
+        yield ",".join([str(compensation.targets.lines[i]), *told, *joints, outcome.value, *known])
 
 
 def _cell(value: float, decimals: int) -> str:
     """A number of the table; nothing where it is not known."""
     return f"{value:.{decimals}f}" if math.isfinite(value) else ""
+
+
+def _quoted(text: str) -> str:
+    """A cell of text as CSV has it."""
+    return '"' + text.replace('"', '""') + '"' if set(text) & set(',"#') else text
 
 
 def in_comments(note: str) -> list[str]:

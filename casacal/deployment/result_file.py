@@ -244,14 +244,14 @@ def _own_problem(place: Path, document: Mapping[str, Any]) -> ProblemFile:
             now = SourceFile.read(path)
         except OSError:
             continue
-        same = now.sha256 == kept.sha256 or _same_code(path, now.text, kept.text)
+        same = now.sha256 == kept.sha256 or same_code(path, now.text, kept.text)
         if not same and not _same_arm(path, problem.robot.arm):
             fix = "Calibrate again, restore that file, or move the result elsewhere to use the arm as it was"
             raise CasacalError(f"{place}: {path} has changed since the calibration", fix)
     return ProblemFile(said["name"], shown, said["sha256"], problem, None, files)
 
 
-def _same_code(path: Path, one: str, other: str) -> bool:
+def same_code(path: Path, one: str, other: str) -> bool:
     """Whether two Python files differ in comments and layout alone."""
     try:
         return path.suffix == ".py" and ast.dump(ast.parse(one)) == ast.dump(ast.parse(other))

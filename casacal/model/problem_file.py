@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from casacal.errors import CasacalError, ProblemError, came, said
-from casacal.files import MADE, json_text, write_text
+from casacal.files import write_json
 from casacal.model.problem import Problem
 from casacal.model.robot import Robot, random_joints
 from casacal.user_code import IMPORTED, line_of, run_file
@@ -122,14 +122,13 @@ def keep_conventions(source: ProblemFile, *, file: str, poses: int) -> Path:
     robot = source.problem.robot
     joints = random_joints(robot, 4, np.random.default_rng(0))
     kept = {
-        "written_by": MADE,
         "poses": poses,
         "file": file,
         "joints": joints.tolist(),
         "flange_mm": drawn_places(robot, joints).tolist(),
     }
     place = Path(source.path).parent / CONVENTIONS
-    write_text(place, json_text(kept))
+    write_json(place, kept)
     return place
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,7 @@ Which = NDArray[np.intp]
 FINE = Rounding(decimals=10)  # joint values in between are not written
 ALIKE = 1e-6  # mm by which drawings of one type of arm may differ
 MOST_LEFT = 0.1  # mm that a target may miss as written: three times what pulses of a large arm leave
+SAME_TOOL = 5.0  # mm by which the ends of two tools may differ: errors of angles make little of them
 STILL = 1e-9  # rad within which a joint stands on a border
 JUMPS = "the correction jumps to another configuration of the arm, through a singularity or past a border"
 
@@ -120,7 +122,8 @@ class CorrectedProgram(Value):
     that are not REACHED stay as they were, `why` by index. correction_mm: how far the arm was from what was meant, at
     the tip, of joint targets without a tool at the flange. correction_rad: largest motion of a joint. left_mm: what the
     digits of the file leave of that, worked out again from the corrected texts. expected_mm: standard deviation of the
-    flange's position, apart from that of the base; NaN where the result tells none. missing: as of a `Prediction`.
+    position of the flange, or of the tip where that is corrected, apart from that of the base; NaN where the result
+    tells none. missing: as of a `Prediction`.
     """
 
     program: TaughtProgram
@@ -151,6 +154,7 @@ def compensate_program(
     result: CalibratedArm,
     program: TaughtProgram | str,
     *,
+    frame: Literal["flange", "tip"] = "flange",
     inverse: bool = False,
     onto: CalibratedArm | None = None,
     begin: Sequence[float] | None = None,
@@ -165,6 +169,8 @@ def compensate_program(
     Args:
         result: a calibration, or a truth.
         program: as `read_program` gives it, or its path.
+        frame: what goes where it was meant to: "flange", with whatever tool, or "tip", where the instrument touches;
+            then the tools of the program must end there.
         inverse: the program was taught on the calibrated arm; it gets the numbers that a nominal arm would have there.
         onto: the result of another arm of this type, on which the program, taught on `result`, is to run.
         begin: joint values (6,; rad) where the program begins, for poses that state no configuration (URScript).
@@ -179,17 +185,21 @@ def compensate_program(
     other = None if onto is None else arm_from(onto)
     if inverse and other is not None:
         raise CasacalError("A program goes back to nominal or onto another arm", "Give inverse or onto")
+    if frame != "flange" and (inverse or other is not None):
+        raise CasacalError("The tip is corrected for the arm itself", "Leave frame out, or inverse and onto")
     for arm in (result, other or result):
         if arm.denial is not None:
             fix = "Mend what it names and calibrate again; a program has no place for warnings, so none is forced"
             raise RefusedResultError(f"{arm.file}: {arm.denial.removesuffix('.')}", fix)
-        refuse_untrusted(arm, "flange")
+        refuse_untrusted(arm, frame)
     if not skip_unknown:
         program.refuse_puzzles()
     run = run_program(result, program, begin)
     outcomes, why = [Outcome.UNREACHABLE] * len(program.targets), program.puzzled | dict(run.why)
     known = np.array([i for i in range(len(outcomes)) if i not in why], dtype=np.intp)
-    joints, meant, ended, expected, missing = _steered(result, other, run, known, inverse, largest)
+    if frame == "tip" and (elsewhere := _other_tools(result, run, known)):
+        program.refuse_targets(elsewhere, "Correct the flange, which serves every tool")
+    joints, meant, ended, expected, missing = _steered(result, other, run, known, frame, inverse, largest)
     for i, outcome in zip(known.tolist(), ended, strict=True):
         outcomes[i] = outcome
         if outcome is not Outcome.REACHED:
@@ -203,7 +213,7 @@ def compensate_program(
     if why and not skip_unknown:
         program.refuse_targets(why)
     texts = program.with_numbers(numbers)
-    proof = _proof(other or result, run, known, joints, meant, inverse, read_again(program, texts))
+    proof = _proof(other or result, run, known, joints, meant, frame, inverse, read_again(program, texts))
     if off := [i for i in np.flatnonzero(proof[1] > MOST_LEFT).tolist() if i not in why]:
         said = "as written it would miss what was meant by {:.3g} mm, for what moves it is corrected elsewhere too"
         program.refuse_targets({i: said.format(proof[1][i]) for i in off}, "Give it numbers of its own")
@@ -213,15 +223,22 @@ def compensate_program(
 
 
 def _steered(
-    result: CalibratedArm, other: CalibratedArm | None, run: ProgramRun, known: Which, inverse: bool, largest: float
+    result: CalibratedArm,
+    other: CalibratedArm | None,
+    run: ProgramRun,
+    known: Which,
+    frame: Literal["flange", "tip"],
+    inverse: bool,
+    largest: float,
 ) -> tuple[Array, Array, Sequence[Outcome], Array, Mapping[str, tuple[str, ...]]]:
-    """Of some targets (M,) joint values, flanges as meant, how each ended, standard deviations, and `missing`."""
+    """Of some targets (M,) joint values, frames as meant, how each ended, standard deviations, and `missing`."""
     joints = run.joints[known]
     if not len(joints):
         return joints, run.flanges[known], (), np.zeros(0), {}
     if not inverse and other is None:
-        found = compensate(result, targets_from(joints, result.source), largest=largest, rounding=FINE)
-        return found.joints, run.flanges[known], found.outcomes, found.expected_mm, found.missing
+        found = compensate(result, targets_from(joints, result.source), frame=frame, largest=largest, rounding=FINE)
+        meant = run.flanges[known] if frame == "flange" else predict(result, joints, frame=frame, nominal=True).poses
+        return found.joints, meant, found.outcomes, found.expected_mm, found.missing
     there = predict(result, joints, std=inverse)
     at = there.poses[:, :3, 3], there.poses[:, :3, :3]
     if other is not None:
@@ -234,6 +251,17 @@ def _steered(
     ended = [Outcome.SINGULAR if jump else Outcome.REACHED for jump in jumps]
     ended = [each if good else Outcome.UNREACHABLE for each, good in zip(ended, taken, strict=True)]
     return moved, there.poses, ended, there.std if there.std is not None else np.full(len(moved), np.nan), there.missing
+
+
+def _other_tools(result: CalibratedArm, run: ProgramRun, known: Which) -> dict[int, str]:
+    """Why some targets (M,) with a pose are not for the tip, by their index: those whose tool ends elsewhere."""
+    posed = known[[run.program.targets[i].base is not None for i in known.tolist()]]
+    if not posed.size:
+        return {}
+    tips = predict(result, run.joints[posed], frame="tip", nominal=True).poses
+    off = np.linalg.norm((tips - run.flanges[posed] @ run.tools[posed])[:, :3, 3], axis=1)
+    words = "its tool ends {:.1f} mm from the tip of the tool that touched"
+    return {int(i): words.format(miss) for i, miss in zip(posed, off, strict=True) if miss > SAME_TOOL}
 
 
 def _refuse_other_type(result: CalibratedArm, other: CalibratedArm, joints: Array) -> None:
@@ -282,6 +310,7 @@ def _proof(
     known: Which,
     joints: Array,
     meant: Array,
+    frame: Literal["flange", "tip"],
     nominal: bool,
     written: TaughtProgram,
 ) -> tuple[Array, Array]:
@@ -297,8 +326,8 @@ def _proof(
             flange = target.base @ written.form.pose(target.values) @ np.linalg.inv(tools[row])
             taken[row] = run.arm.reach(flange[None, :3, 3], flange[None, :3, :3], joints[[row]])[0]
     for values, into in ((run.joints[known], before), (taken, left)) if known.size else ():
-        there = predict(arm, values, nominal=nominal).poses
-        into[known] = np.linalg.norm(((there - meant) @ tools)[:, :3, 3], axis=1)
+        off = predict(arm, values, frame=frame, nominal=nominal).poses - meant
+        into[known] = np.linalg.norm((off @ tools if frame == "flange" else off)[:, :3, 3], axis=1)
     return before, left
 
 

@@ -13,9 +13,11 @@ import numpy as np
 
 from casacal.data.samples import WRITTEN, Layout
 from casacal.errors import CasacalError
+from casacal.model.instrument import OVERTRAVEL, readings_within
 from casacal.model.problem import Problem
 from casacal.planning.route import joints_shown
 from casacal.shopfloor.gauges import Gauge
+from casacal.shopfloor.known import per_reading
 from casacal.shopfloor.session import Session
 from casacal.shopfloor.touch import Touch, beyond_travel
 from casacal.values import Array
@@ -31,6 +33,7 @@ COMMANDS = (
 )
 
 NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
+DEVIATIONS = 3.0  # standard deviations by which a reading may be another than is expected
 ALIKE = 1e-9  # mm or rad by which equal readings differ
 SAME_POSTURE = 1e-5  # rad or mm by which joint values differ that are of one touch of the plan
 UNLIKELY = 0.01  # chance of touches kept to verify below which they do not agree with the others
@@ -86,16 +89,14 @@ def touch_of(line: str, layout: Layout, planned: Touch | None, gauge: Gauge) -> 
     joints, readings = len(layout.joints), len(layout.columns)
     if planned is not None and readings == 1 and gauge.reads(line):
         return read_by(gauge, line, layout, planned)
-    # commas part cells where numbers have points, else they are decimal commas
-    apart = r"[\s;,]+" if re.search(r"\d\.\d", line) or not re.search(r"\d,\d", line) else r"[\s;]+|,\s+"
-    cells = [cell for cell in re.split(apart, line.strip()) if cell]
+    cells = cells_of(line)
     count = next((k for k, cell in enumerate(cells) if not NUMBER.fullmatch(cell)), len(cells))
     as_planned = planned is not None and count == readings
     if not as_planned and count != joints + readings:
         wanted = counted(readings, "reading") if readings else ""
         instead = f"{wanted}, or " if planned is not None and readings else ""
         fix = f"Type {instead}{joints} joint values{f' and {wanted}' if wanted else ''}; h for help"
-        raise CasacalError(f"{counted(count, 'number')} came", fix)
+        raise CasacalError(f"{counted(count, 'number')} came", both_marks(line) + fix)
     labels = cells[count:]
     if labels and len(labels) != len(layout.labels):
         raise CasacalError(f"'{' '.join(labels)}' follows the numbers", "Type h for help")
@@ -107,6 +108,18 @@ def touch_of(line: str, layout: Layout, planned: Touch | None, gauge: Gauge) -> 
         return Typed(planned.joints, read, named)
     pairs = zip(cells[:joints], layout.joints, strict=True)
     return Typed(np.array([_number(cell) / WRITTEN[kind][1] for cell, kind in pairs]), read, named)
+
+
+def cells_of(line: str) -> list[str]:
+    """Cells of a line; commas part them where numbers have points, else they are decimal commas."""
+    apart = r"[\s;,]+" if re.search(r"\d\.\d", line) or not re.search(r"\d,\d", line) else r"[\s;]+|,\s+"
+    return [cell for cell in re.split(apart, line.strip()) if cell]
+
+
+def both_marks(line: str) -> str:
+    """A sentence for a line with points and commas between digits, which may be of one number or two; else empty."""
+    both = re.search(r"\d\.\d", line) and re.search(r"\d,\d", line)
+    return "Write all decimals with points, or all with commas: here they are mixed. " if both else ""
 
 
 def read_by(gauge: Gauge, line: str, layout: Layout, planned: Touch | None) -> Typed:
@@ -187,9 +200,12 @@ def _obeyed(session: Session, proposed: Touch | None, word: str, number: int | N
     if word == SKIP:
         if session.alarm is not None:
             return Answer(session, tuple(doubt(session)))
-        if proposed is None or proposed.number is None:
+        skipped = number if number is not None else None if proposed is None else proposed.number
+        if skipped is None:
             raise CasacalError("The plan has no touch left to skip", "Type q to end")
-        return Answer(session.skip(proposed.number), (f"touch {proposed.number} is left out",))
+        if any(touch.number == skipped for touch in session.touches):
+            raise CasacalError(f"Touch {skipped} has been made", f"u {skipped} takes it back")
+        return Answer(session.skip(skipped), (f"touch {skipped} is left out",))
     if word == KEEP:
         done, after = "kept", session.keep()
     elif word == CORRECT:
@@ -228,16 +244,62 @@ def waiting(session: Session, proposed: Touch | None, *, by_gauge: bool) -> str:
     return f"Waiting for {number}: {how}"
 
 
-def posture(touch: Touch, layout: Layout) -> str:
+def told(session: Session, touch: Touch) -> tuple[float, float] | None:
+    """Reading that the session expects at a touch and its standard deviation, mm; None where it says too little.
+
+    It says enough where the reading is known to half of the travel, or surely lies beyond it.
+    """
+    found, probe = session.expected(touch), session.problem.instrument.probe
+    if found is None or probe is None:
+        return None
+    (reading, std), (low, high) = found, readings_within(probe.travel)
+    spread = DEVIATIONS * std
+    return found if spread <= (high - low) / 2 or reading - spread > high or reading + spread < low else None
+
+
+def out_of_travel(session: Session, touch: Touch) -> str | None:
+    """A clause on why not to drive to a touch: the dial would be crushed, or would not touch; None where it is well."""
+    found, probe = told(session, touch), session.problem.instrument.probe
+    if found is None or probe is None or probe.column is None:
+        return None
+    (reading, std), (low, high) = found, readings_within(probe.travel)
+    spread, room = DEVIATIONS * std, OVERTRAVEL * (high - low)
+    pressed, free = (low - reading, reading - high) if probe.sign > 0 else (reading - high, low - reading)
+    if pressed + spread <= room and free <= room:
+        return None
+    crushed = pressed + spread > room
+    what = "do not drive there" if crushed else "the tip would not touch there"
+    way = "stand off" if crushed else "go nearer"
+    return (
+        f"{what}: the dial would read {reading:.2f} mm, give or take {figures(spread, 2)} mm, beyond its travel of "
+        f"{low:g} to {high:g} mm; {way} along the plunger until it reads about {touch.columns[probe.column]:.2f} mm, "
+        "and enter the joint values of that place with the reading"
+    )
+
+
+def to_expect(session: Session, touch: Touch) -> str:
+    """What to expect of a touch: by the touches so far where they tell, else as planned."""
+    found, probe = told(session, touch), session.problem.instrument.probe
+    if found is not None and probe is not None:
+        return f"{probe.column} about {found[0]:.2f} mm (standard deviation {figures(found[1], 2)} mm)"
+    return ", ".join(
+        f"{name} about {touch.columns[name] * WRITTEN[kind][1]:.2f}{WRITTEN[kind][0].replace('_', ' ')} as planned"
+        for name, kind in session.problem.layout().columns.items()
+    )
+
+
+def posture(session: Session, touch: Touch) -> str:
     """Where to go: face, joint values, what to expect."""
+    layout = session.problem.layout()
     where = ", ".join(touch.labels[name] for name in layout.labels)
     number = "one more" if touch.number is None else f"touch {touch.number}"
-    expected = ", ".join(
-        f"{name} about {touch.columns[name] * WRITTEN[kind][1]:.2f}{WRITTEN[kind][0].replace('_', ' ')}"
-        for name, kind in layout.columns.items()
-    )
     purpose = {"again": "once more", "check": "kept to verify"}.get(touch.purpose, "")
-    parts = (f"{number} {where}".strip(), purpose, f"joints {' '.join(joints_shown(touch.joints, layout))}", expected)
+    parts = (
+        f"{number} {where}".strip(),
+        purpose,
+        f"joints {' '.join(joints_shown(touch.joints, layout))}",
+        to_expect(session, touch),
+    )
     return "; ".join(part for part in parts if part)
 
 
@@ -248,6 +310,9 @@ def _report(session: Session) -> str:
     if state.off is not None and state.std is not None:
         off, std = float(np.linalg.norm(state.off)), float(np.linalg.norm(state.std))
         sign = "-" if len(state.off) == 1 and state.off[0] < 0 else ""
+        if state.known is not None and (slope := per_reading(state.known, last)) is not None:
+            off, std = float(state.off[0]) / slope, std / abs(slope)  # of what was read, as it was expected
+            sign = ""
         said.append(f"{sign}{figures(off)} mm from what was expected (standard deviation {figures(std)} mm)")
     elif len(session) - 1 in session.waiting:
         said.append(f"face {', '.join(last.labels.values())} is not yet known well enough to judge it")

@@ -471,6 +471,17 @@ def innovations_at(known: Known, touches: Sequence[Touch]) -> tuple[Array, Array
     return found[:, 0], found[:, 1]
 
 
+def per_reading(known: Known, touch: Touch) -> float | None:
+    """By how much (mm) the predicted residual of a touch grows per mm that is read along a plunger, or None."""
+    probe = known.bound.problem.instrument.probe
+    if probe is None or probe.column is None or not known.knows(touch):
+        return None
+    longer = replace(touch, columns={**touch.columns, probe.column: touch.columns[probe.column] + 1.0})
+    off, _ = innovations_at(known, [touch, longer])
+    slope = float(off[1, 0] - off[0, 0])
+    return slope if off.shape[1] == 1 and abs(slope) > ALONG else None
+
+
 def chance_of(known: Known, touches: Sequence[Touch]) -> float:
     """Chance of so large a joint residual of some touches: chi-square of their predicted covariance."""
     rows, belief = LinearRows.of(known, touches), ShiftedBelief.by(known.belief)

@@ -11,15 +11,16 @@ import numpy as np
 
 from casacal.data.columns import Labels
 from casacal.data.samples import WRITTEN
-from casacal.errors import CasacalError
+from casacal.errors import CasacalError, SamplesError
 from casacal.model.problem_file import ProblemFile
 from casacal.planning.clearance import Clearance, hindered
 from casacal.planning.route import Route, read_route, refuse_plan_of_another
-from casacal.shopfloor.conversation import Answer, answered, command_of, repeats_last, touch_of
+from casacal.shopfloor.conversation import Answer, answered, command_of, out_of_travel, repeats_last, touch_of
 from casacal.shopfloor.gauges import Gauge
 from casacal.shopfloor.session import Session
 from casacal.shopfloor.touch import Touch, TouchFile
 from casacal.values import Array
+from casacal.wording import counted
 
 NEAR = 0.05  # degrees or mm by which joint values may differ from the planned ones without a word
 
@@ -42,7 +43,7 @@ class Recording:
     """The gauge's last line where it repeats the reading before, about which the operator is asked."""
 
     def __post_init__(self) -> None:
-        self._sizes = self.file.sizes()
+        self._stamps = self.file.stamps()
         self._proposed: tuple[Session, Touch | None] | None = None
 
     @property
@@ -55,13 +56,17 @@ class Recording:
     @property
     def overtaken(self) -> bool:
         """Whether another program has written to the files."""
-        return self.file.sizes() != self._sizes
+        return self.file.stamps() != self._stamps
 
     @property
     def warning(self) -> str | None:
-        """Why the arm must not go to the proposed posture; None where nothing is in its way."""
+        """A clause on why the arm must not go to the proposed posture; None where nothing speaks against it."""
         proposed = self.proposed
-        return None if proposed is None else self.hindered.get(proposed.number or 0)
+        if proposed is None:
+            return None
+        if (hit := self.hindered.get(proposed.number or 0)) is not None:
+            return f"do not go to the next posture ({hit}); s skips it"
+        return out_of_travel(self.session, proposed)
 
     def enter(self, line: str, *, sent: bool = False) -> Answer:
         """Judge a line, typed or sent by the gauge, and write what it changes.
@@ -90,7 +95,7 @@ class Recording:
             self.file.append(answer.session.touches[-1], len(answer.session))
         elif answer.change == "changed":
             self.file.rewrite(answer.session.touches)
-        self.session, self._sizes = answer.session, self.file.sizes()
+        self.session, self._stamps = answer.session, self.file.stamps()
         return replace(answer, said=(*note, *answer.said)) if answer.change == "added" else answer
 
     def _standing(self, proposed: Touch | None, line: str, *, sent: bool) -> tuple[Touch | None, tuple[str, ...]]:
@@ -144,17 +149,25 @@ def begun(
     route = with_labels(read_route(plan, layout), labels or {})
     begin = Session(source.problem, cell=source.cell) if session is None else session
     begin = replace(begin, plan=route)
-    content = hashlib.sha256(Path(plan).read_bytes()).hexdigest()[:12]
-    file = TouchFile(Path(out), layout, f"measured by casacal: {source.name}, plan {content}")
+    file = TouchFile(Path(out), layout, plan_mark(source, plan))
     file.refuse_others()
     refuse_plan_of_another(plan, source.name, table)
     touches, cut = file.read()
     said = ["The last line of the file was cut off; make that touch again"] if cut else []
+    if unknown := [touch.number for touch in touches if (touch.number or 0) > len(route)]:
+        what = f"touch {unknown[0]} is none of the plan, which has 1 to {len(route)}"
+        raise SamplesError(Path(out).as_posix(), what, "Restore it, or write - where a touch is beyond the plan")
     if touches:
         begin = begin.resumed(touches)
-        said.append(f"Going on after {len(touches)} touches of {Path(out).as_posix()}")
+        said.append(f"Going on after {counted(len(touches), 'touch')} of {Path(out).as_posix()}")
     hit = hindered(begin.problem, route.samples, table, clearance)
     return Recording(begin, file, gauge, hit, stands), said
+
+
+def plan_mark(source: ProblemFile, plan: str | Path) -> str:
+    """First words of files of touches that were made by a plan, as it stands in its file."""
+    content = hashlib.sha256(Path(plan).read_bytes()).hexdigest()[:12]
+    return f"measured by casacal: {source.name}, plan {content}"
 
 
 def with_labels(route: Route, labels: Mapping[str, str]) -> Route:

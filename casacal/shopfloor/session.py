@@ -26,6 +26,7 @@ from casacal.shopfloor.known import (
     error_below,
     innovations_at,
     known_before,
+    per_reading,
     refuse_along,
     spectrum,
 )
@@ -171,6 +172,19 @@ class Session(Value):
             return None
         pool = Pool.of(known, self._setting.further)
         return Touch.of(pool.samples, pool.most_telling(known.covariance, self.field))
+
+    def expected(self, touch: Touch) -> tuple[float, float] | None:
+        """Reading along the plunger to expect at a touch, and its standard deviation, mm; None where none is known.
+
+        By the touches so far: the reading of a plan is that of the arm as drawn, over faces where they were planned.
+        """
+        known = self.known
+        slope = None if known is None else per_reading(known, touch)
+        probe = self.problem.instrument.probe
+        if known is None or slope is None or probe is None or probe.column is None:
+            return None
+        off, std = (float(each[0, 0]) for each in innovations_at(known, [touch]))
+        return touch.columns[probe.column] - off / slope, std / abs(slope)
 
     def needed(self) -> int | None:
         """How many more well-chosen touches the tolerance takes; None where there is none, or 200 are not enough."""

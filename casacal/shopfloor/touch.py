@@ -18,7 +18,7 @@ import numpy as np
 
 from casacal.data.samples import JOINT_DECIMALS, LARGEST, WRITTEN, Layout, Samples, samples_text
 from casacal.errors import CasacalError, SamplesError, came, refuse_unknown
-from casacal.files import place_whole, recover, together, writable, write_text
+from casacal.files import place_whole, recover, stamp, together, writable, write_text
 from casacal.model.instrument import OVERTRAVEL, readings_within
 from casacal.model.problem import Problem
 from casacal.planning.route import CHECK, FIT, PURPOSES
@@ -243,9 +243,9 @@ class TouchFile(Value):
             if not there:
                 path.unlink()
 
-    def sizes(self) -> tuple[int, ...]:
-        """Bytes of both files, by which it is seen whether somebody else writes there."""
-        return tuple(path.stat().st_size if path.exists() else 0 for path in self._paths)
+    def stamps(self) -> tuple[tuple[int, ...], ...]:
+        """What is seen of both files from outside, by which it is noticed whether somebody else writes there."""
+        return tuple(stamp(path) for path in self._paths)
 
     def read(self) -> tuple[list[Touch], bool]:
         """Touches so far, in order, and whether a cut-off last line is left out; SamplesError for another session's."""

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from casacal.data.samples import WRITTEN
-from casacal.errors import SimulationError
+from casacal.errors import CasacalError, SimulationError
 from casacal.model.instrument import readings_within
 from casacal.planning.candidates import cell_of
 from casacal.planning.route import CHECK, joints_shown, touches_needed
 from casacal.planning.scene import scene
-from casacal.shopfloor.conversation import doubt, ended, help_words, in_units, waiting
+from casacal.shopfloor.conversation import doubt, ended, help_words, in_units, to_expect, waiting
 from casacal.shopfloor.recording import Recording
 from casacal.shopfloor.session import Session
 from casacal.shopfloor.touch import SHOWN, Touch, rows_of
 from casacal.simulation.cell import Cell
-from casacal.tablet.work import ENOUGH_POSES, ORIENTATIONS, Work
-from casacal.wording import counted, figures
+from casacal.tablet.asked import ENOUGH_POSES, ORIENTATIONS
+from casacal.tablet.work import Work, for_page, unforeseen
+from casacal.wording import counted, figures, mm, sentence
 
 PASSED, OPEN, AHEAD = "passed", "open", "ahead"
 """What a gate may be: done; to be done; not possible before another one."""
@@ -28,17 +30,10 @@ def document(work: Work) -> dict[str, Any]:
     """Everything that a window shows, in JSON's own types; `version` names this state."""
     with work.lock:
         problem, layout = work.source.problem, work.source.problem.layout()
-        gates = {
-            "cell": _cell(work),
-            "conventions": _conventions(work),
-            "plan": _plan(work),
-            "measure": _measure(work),
-            "decide": _decide(work),
-            "verify": _verify(work),
-            "hand_over": _hand_over(work),
-        }
+        gates = {name: _shown(work, gate) for name, gate in GATES.items()}
         for name, gate in gates.items():
-            gate |= {"said": list(work.said.get(name, ())), "failed": work.failed.get(name, False)}
+            gate["missing"] = for_page(gate["missing"])
+            gate |= {"said": list(map(for_page, work.said.get(name, ()))), "failed": work.failed.get(name, False)}
         return {
             "version": work.version,
             "run": work.run,
@@ -47,8 +42,20 @@ def document(work: Work) -> dict[str, Any]:
             "robot": problem.robot.name,
             "joints": [f"q{k}{WRITTEN[kind][0].replace('_', ' ')}" for k, kind in enumerate(layout.joints, 1)],
             "files": [name for name, path in files(work).items() if path.is_file()],
+            "trouble": for_page(work.trouble),
             "gates": gates,
         }
+
+
+def _shown(work: Work, gate: Callable[[Work], dict[str, Any]]) -> dict[str, Any]:
+    """A gate, or one that says why it cannot be shown: the others, and steps that mend it, must stay at hand."""
+    try:
+        return gate(work)
+    except CasacalError as error:
+        missing = str(error)
+    except Exception as error:
+        missing = unforeseen(error)
+    return {"state": AHEAD, "missing": missing, "facts": [], "notes": [], "touches": [], "fixed": True}
 
 
 def files(work: Work) -> dict[str, Any]:
@@ -80,6 +87,8 @@ def _cell(work: Work) -> dict[str, Any]:
         place = f"centre ({x:.0f}, {y:.0f}, {z:.0f}) mm, normal ({u:.2f}, {v:.2f}, {w:.2f}), {wide:.0f} x {deep:.0f} mm"
         facts.append([f"Face {face.label}", place])
     missing = f"{work.source.assumed}, and the fit relies on it" if work.source.assumed else ""
+    if file := work.edited:
+        missing = f"{file} was changed after this page was started. End casacal serve and start it again"
     return {"state": OPEN if missing else PASSED, "missing": missing, "facts": facts}
 
 
@@ -100,7 +109,7 @@ def _plan(work: Work) -> dict[str, Any]:
     plan = None if work.recording is None else work.recording.session.plan
     missing = "The touches to make, and in which order: without a plan nobody knows which postures tell something"
     if plan is None:
-        return {"state": OPEN, "missing": missing, "touches": [], "notes": [], "fixed": False}
+        return {"state": OPEN, "missing": work.trouble or missing, "touches": [], "notes": [], "fixed": work.touched}
     touches = [
         {"number": k, "where": ", ".join(plan.samples.labels[name][k - 1] for name in plan.samples.labels)}
         | {"purpose": PURPOSES[purpose]}
@@ -115,7 +124,7 @@ def _plan(work: Work) -> dict[str, Any]:
 def _measure(work: Work) -> dict[str, Any]:
     recording = work.recording
     if recording is None:
-        return {"state": AHEAD, "missing": "A plan: it says where to touch"}
+        return {"state": AHEAD, "missing": work.trouble or "A plan: it says where to touch"}
     session = recording.session
     left = sum(touch.number is not None for touch in session.touches)
     planned = 0 if session.plan is None else len(session.plan)
@@ -137,8 +146,9 @@ def _measure(work: Work) -> dict[str, Any]:
     }
     found |= _next(work, recording)
     over = found["next"] is None and session.alarm is None
-    found["ended"] = ended(session) if over else []
-    missing = "" if over else f"{max(planned - left, 0)} planned touches: what is not touched is not known"
+    found["ended"] = list(map(for_page, ended(session))) if over else []
+    still = counted(max(planned - left, 0), "planned touch")
+    missing = "" if over else f"{still}: what is not touched is not known"
     return found | {"state": PASSED if over else OPEN, "missing": missing}
 
 
@@ -180,17 +190,13 @@ def _next(work: Work, recording: Recording) -> dict[str, Any]:
     if proposed is None:
         return {"next": None, "waiting": ""}
     words = waiting(session, proposed, by_gauge=work.line is not None)
-    expected = [
-        f"{name} about {proposed.columns[name] * WRITTEN[kind][1]:.2f}{WRITTEN[kind][0].replace('_', ' ')}"
-        for name, kind in layout.columns.items()
-    ]
     found = {
         "number": proposed.number,
         "where": ", ".join(proposed.labels[name] for name in layout.labels),
         "purpose": PURPOSES[proposed.purpose],
         "joints": joints_shown(proposed.joints, layout),
-        "expected": ", ".join(expected),
-        "warning": recording.warning,
+        "expected": to_expect(session, proposed),
+        "warning": "" if recording.warning is None else sentence(recording.warning),
         "arm": None if proposed.number is not None else _arm(work, proposed),
     }
     return {"next": found, "waiting": words}
@@ -242,4 +248,18 @@ def _hand_over(work: Work) -> dict[str, Any]:
         return {"state": AHEAD, "missing": f"A calibration that may be used. {work.arm.denial}"}
     verified = work.verified is not None and work.verified.passed
     missing = "" if verified else "A verification: targets can be corrected, and nobody has checked what they rely on"
-    return {"state": OPEN, "missing": missing, "caution": work.arm.caution}
+    tip = work.arm.found.tip
+    frames = [["tip", f"the tip of the tool that touched: error to expect {mm(tip.expected_mm)}"]]
+    frames.append(["flange", f"the flange, for any other tool: error to expect {mm(tip.flange_expected_mm)}"])
+    return {"state": OPEN, "missing": missing, "caution": work.arm.caution, "frames": frames}
+
+
+GATES: Mapping[str, Callable[[Work], dict[str, Any]]] = {
+    "cell": _cell,
+    "conventions": _conventions,
+    "plan": _plan,
+    "measure": _measure,
+    "decide": _decide,
+    "verify": _verify,
+    "hand_over": _hand_over,
+}

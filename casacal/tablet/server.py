@@ -26,7 +26,7 @@ from casacal.errors import CasacalError, RefusedResultError
 from casacal.files import writable
 from casacal.pages import space
 from casacal.tablet.gates import document, files
-from casacal.tablet.work import OutdatedError, Work
+from casacal.tablet.work import OutdatedError, Work, for_page, unforeseen
 
 try:
     import uvicorn
@@ -166,6 +166,10 @@ class Pages:
             headers["Content-Disposition"] = f'attachment; filename="{name}"'
         return Response(path.read_bytes(), media_type=kind, headers=headers)
 
+    async def fell(self, _: Request, error: Exception) -> Response:
+        """What nobody foresaw, as a sentence; the log has it whole."""
+        return answer(500, unforeseen(error))
+
     async def step(self, request: Request) -> Response:
         """Take a step: the new state, or a sentence on why it was not taken."""
         body = b""
@@ -216,12 +220,12 @@ def application(work: Work, *, token: str, cookie: str = "casacal") -> ASGIApp:
         Route("/events", pages.events),
         Route("/step", pages.step, methods=["POST"]),
     ]
-    return Door(Starlette(routes=routes), token, cookie)
+    return Door(Starlette(routes=routes, exception_handlers={Exception: pages.fell}), token, cookie)
 
 
 def answer(status: int, words: str) -> Response:
     """A refusal in a sentence."""
-    return JSONResponse({"error": words}, status)
+    return JSONResponse({"error": for_page(words)}, status)
 
 
 def static(name: str) -> bytes:

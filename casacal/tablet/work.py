@@ -7,8 +7,9 @@ them, and fit/ as `casacal calibrate` does. What is held here besides can be mad
 from __future__ import annotations
 
 import base64
-import binascii
+import logging
 import math
+import re
 import secrets
 import tempfile
 import threading
@@ -16,33 +17,34 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-import numpy as np
-
-from casacal.data.text import Table
-from casacal.deployment.arm import CalibratedArm
-from casacal.deployment.result_file import read_result
-from casacal.errors import CasacalError, refuse_unknown
-from casacal.files import together, write_text
+from casacal.deployment.arm import FRAMES, CalibratedArm
+from casacal.deployment.result_file import read_result, same_code
+from casacal.errors import CasacalError, RefusedResultError, refuse_unknown
+from casacal.files import stamp, together, write_text
 from casacal.model.joints import Conventions
-from casacal.model.problem_file import ProblemFile, keep_conventions
+from casacal.model.problem_file import CONVENTIONS, ProblemFile, SourceFile, keep_conventions
 from casacal.planning.clearance import Clearance
 from casacal.planning.route import joints_shown
 from casacal.planning.scene import scene
 from casacal.shopfloor.conversation import doubt
 from casacal.shopfloor.gauges import Gauge, Inbox, SerialLine
-from casacal.shopfloor.recording import Recording, begun
+from casacal.shopfloor.recording import Recording, begun, plan_mark
 from casacal.shopfloor.session import Session
+from casacal.tablet.asked import Frame, corrected, number_of, pendant_table, text_of, uploaded
 from casacal.values import Array
 from casacal.verification.verification import Verification
 from casacal.wording import counted
 
+OF_TERMINAL = re.compile(
+    r"(?<![\w-])--[a-z]|\bcasacal (?:calibrate|changed|check|compensate|doctor|export|measure|plan|predict|verify)\b"
+)
+_LOG = logging.getLogger("casacal")
 AGAIN = 0.05  # as `casacal plan`: parts of a plan that are repeated, and kept to verify
 CHECK = 0.15
 POOL = 3000
 MOST_TOUCHES = 500
-ENOUGH_POSES, MOST_ROWS = 4, 50  # off a pendant
 
 
 class OutdatedError(CasacalError):
@@ -103,10 +105,15 @@ class Work:
         self.verified: Verification | None = None
         self._scene: dict[str, Any] | None = None
         self.line, self._inbox = line, None if line is None else Inbox()
+        self.trouble = ""  # what is wrong with the files of the session, in sentences
+        self._count = 0  # touches that were seen in them
         if place.plan is not None or place.plan_file.is_file():
             self._begin()
-        if (place.fit / "result.json").is_file():
-            self.arm = read_result(place.fit)
+        self._seen = self._stamps()
+        try:
+            self.arm = read_result(place.fit) if (place.fit / "result.json").is_file() else None
+        except CasacalError as error:  # such as of a problem that was changed since: the page leads to another one
+            self.said["decide"], self.failed["decide"] = (str(error),), True
         if line is not None and self._inbox is not None:
             threading.Thread(target=line.listen, args=(self._inbox,), daemon=True).start()
             threading.Thread(target=self._listen, daemon=True).start()
@@ -118,6 +125,21 @@ class Work:
         with suppress(OSError):
             return samples.stat().st_mtime > result.stat().st_mtime
         return False
+
+    @property
+    def edited(self) -> str:
+        """Path of a file of the problem that now says something else than when the page was started; else empty."""
+        for kept in self.source.files:
+            with suppress(OSError):
+                now = SourceFile.read(kept.path)
+                if now.sha256 != kept.sha256 and not same_code(Path(kept.path), now.text, kept.text):
+                    return kept.path
+        return ""
+
+    @property
+    def touched(self) -> bool:
+        """Whether files of touches hold anything."""
+        return any(found[1] for found in self._stamps()[1:] if found)
 
     def do(self, step: str, asked: Mapping[str, Any]) -> dict[str, Any]:
         """Take a step that a window asks for, and what it answers beside the new state.
@@ -144,14 +166,57 @@ class Work:
                 )
             if self.job is not None:
                 raise CasacalError(f"Still at work: {self.job}", "Wait until it is done")
+            if step in ("conventions", "plan", "calibrate") and (file := self.edited):
+                what = f"{file} was changed after this page was started, which knows the problem as it was"
+                raise CasacalError(what, "End casacal serve and start it again; touches and plan are kept")
             return steps[step](asked)
 
     def look(self) -> None:
-        """Read anew what another program, such as `casacal measure`, has written to the file of touches."""
+        """Read anew what others, such as `casacal measure`, have done to the plan or the files of touches.
+
+        What cannot be read is said in `trouble`, and is looked at again when it has changed once more.
+        """
         with self.lock:
-            if self.job is None and self.recording is not None and self.recording.overtaken:
-                self._begin()
-                self.version += 1
+            now, before = self._stamps(), self.recording
+            if self.job is not None or (now == self._seen and not (before is not None and before.overtaken)):
+                return
+            plan, samples = self.place.plan_file, self.place.samples
+            self.recording, self.trouble, self._seen, self._scene = None, "", now, None
+            try:
+                if now[0]:
+                    self._begin()
+                elif self.touched or self._count:
+                    what = f"'{plan}' is gone, and touches of it were made, in '{samples}'"
+                    raise CasacalError(what, "Put both back; to plan anew, move the files of touches away")
+                elif before is not None:
+                    self.said["plan"] = (f"'{plan}' is gone. Plan again",)
+            except CasacalError as error:
+                changed = before is not None and now[0] and plan_mark(self.source, plan) != before.file.mark
+                said = f"'{plan}' was changed after touches of it were made: put it back as it was. " if changed else ""
+                self.recording, self.trouble = None, f"{said}{error}"
+            except Exception as error:
+                self.recording, self.trouble = None, unforeseen(error)
+            if self.recording is not None:
+                self._compare(before, self.recording)
+            self.version += 1
+
+    def _compare(self, before: Recording | None, now: Recording) -> None:
+        """Say what has become of plan and touches that were seen before."""
+        left = len(now.session)
+        if left < self._count:
+            files = f"'{now.file.path}' and '{now.file.check_path.name}'"
+            self.trouble = (
+                f"{counted(self._count, 'touch')} had been made, and {files} hold {left}: others took the rest out. If "
+                "nobody meant that, put the files back before you go on."
+            )
+        if before is not None and before.file.mark != now.file.mark:
+            self.said["plan"] = ("The plan was changed by another program: this is what it says now",)
+        self._count = max(self._count, left)
+
+    def _stamps(self) -> tuple[tuple[int, ...], ...]:
+        """How plan and touches look from outside, by which changes are noticed."""
+        samples = self.place.samples
+        return tuple(map(stamp, (self.place.plan_file, samples, samples.with_name("samples_check.csv"))))
 
     def space(self) -> dict[str, Any]:
         """The cell and the planned postures in space, as `casacal.planning.scene` has them; {} before a plan."""
@@ -201,6 +266,7 @@ class Work:
             stands=place.stands,
         )
         self._scene, session = None, self.recording.session
+        self._seen, self._count = self._stamps(), max(self._count, len(session))
         self.errors = []
         if session.tip_error is not None:
             for count in range(1, len(session)):
@@ -211,29 +277,32 @@ class Work:
         self.said["measure"] = (*said, *doubt(session))
 
     def _enter(self, asked: Mapping[str, Any]) -> dict[str, Any]:
-        line = text_of(asked, "line", 500)
-        if self.recording is None:
-            raise CasacalError("There is no plan yet", "Plan the touches first")
-        self._take(line, sent=False)
+        self._take(text_of(asked, "line", 500), sent=False)
         if self._inbox is not None:
             self._inbox.prompted()
         return {}
 
     def _go_on(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """Go on beyond the plan, with the touches that tell most, until the tip error is below what is wanted."""
-        if self.recording is None:
-            raise CasacalError("There is no plan yet", "Plan the touches first")
-        tolerance = number_of(asked, "tolerance", 0, 1000)
-        self.recording.session = replace(self.recording.session, tolerance=tolerance)
+        recording, tolerance = self._recorded(), number_of(asked, "tolerance", 0, 1000)
+        recording.session = replace(recording.session, tolerance=tolerance)
         self.changed("measure", ())
         return {}
 
+    def _recorded(self) -> Recording:
+        """The session; raises CasacalError where there is none."""
+        if self.recording is None:
+            what, _, fix = self.trouble.removesuffix(".").partition(". ")
+            raise CasacalError(what or "There is no plan yet", fix or "Plan the touches first")
+        return self.recording
+
     def _take(self, line: str, *, sent: bool) -> None:
         """Enter a line; what the session answers becomes what the gate says."""
-        recording = self.recording
-        assert recording is not None
+        recording = self._recorded()
         answer = recording.enter(line, sent=sent)
         session, count = recording.session, len(recording.session)
+        if answer.change != "none":
+            self._seen, self._count, self.trouble = self._stamps(), count, ""
         self.errors = [each for each in self.errors if each[0] < count]
         if session.tip_error is not None:
             self.errors.append((count, session.tip_error))
@@ -253,6 +322,8 @@ class Work:
                         self._take(entry.text, sent=True)
             except CasacalError as error:
                 self.changed("measure", (str(error),), failed=True)
+            except Exception as error:  # the gauge is listened to all the same
+                self.changed("measure", (unforeseen(error),), failed=True)
             if entry.source != "note":
                 self._inbox.prompted()
 
@@ -284,14 +355,18 @@ class Work:
             self.changed("conventions", [*said, "Kept beside the problem: nobody is asked again"])
         else:
             fix = "Change the problem file as this says, and start the page again" if found.certain else ""
+            if (found.certain or not found.meanings) and self.source.confirmed:
+                (Path(self.source.path).parent / CONVENTIONS).unlink(missing_ok=True)
+                self.source = replace(self.source)
+                fix += ". What an earlier comparison had confirmed counts no more: these poses contradict it"
             self.changed("conventions", [*diagnosis_text(found, robot.axes).strip().split("\n"), fix], failed=True)
         return {}
 
     def _plan(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         if self.place.plan is not None:
             raise CasacalError(f"The plan is {self.place.plan}", "Start the page without --plan to make another one")
-        if self.recording is not None and len(self.recording.session):
-            what = "Touches of this plan were made"
+        if self.touched:
+            what = self.trouble.removesuffix(".") or "Touches of this plan were made"
             raise CasacalError(what, "Take them back first, or start the page with another --out for another plan")
         touches, tolerance = number_of(asked, "touches", 3, MOST_TOUCHES), number_of(asked, "tolerance", 0, 1000)
         if touches is not None and (tolerance is not None or touches % 1):
@@ -319,18 +394,19 @@ class Work:
                 "sheet.html": sheet_page(problem, made, name, said, made.cell, clearance),
             }
             self.place.folder.mkdir(parents=True, exist_ok=True)
-            with together(self.place.folder, list(texts), own=True) as place:
+            with together(self.place.folder, list(texts)) as place:
                 for file, text in texts.items():
                     write_text(place / file, text)
             with self.lock:
+                self.trouble, self._count = "", 0
                 self._begin()
             self.changed("plan", plan_sentences(made, compared, where="over the workspace", pool=POOL, after=False))
 
         return self._run("plan", "planning the touches", run)
 
     def _calibrate(self, _: Mapping[str, Any]) -> dict[str, Any]:
-        recording = self.recording
-        if recording is None or not len(recording.session):
+        recording = self._recorded()
+        if not len(recording.session):
             raise CasacalError("No touch has been made", "Measure first")
         if recording.session.alarm is not None:
             raise CasacalError("A touch is in doubt", "Settle it first, where touches are measured")
@@ -377,15 +453,28 @@ class Work:
         return self._run("verify", "verifying", run)
 
     def _correct(self, asked: Mapping[str, Any]) -> dict[str, Any]:
-        """Targets or a program corrected for the calibrated arm: its name, its bytes, and what is to be known."""
+        """Targets or programs corrected for the calibrated arm, all or none: names, bytes, and what is to be known."""
         if self.arm is None:
             raise CasacalError("There is no calibration yet", "Calibrate first")
         if self.outdated:
             raise CasacalError("Touches were made after the calibration", "Calibrate again first")
+        frame = text_of(asked, "frame", 10)
+        refuse_unknown("frame", [frame], FRAMES)
+        out, said = list[dict[str, str]](), list[str]()
         with tempfile.TemporaryDirectory(prefix="casacal-") as place:
-            paths = uploaded(asked, Path(place))
-            out, said = corrected(self.arm, paths)
-        return {"files": [{"name": name, "data": base64.b64encode(data).decode()} for name, data in out], "said": said}
+            kept = uploaded(asked, Path(place))
+            wholes = [path for path in kept if path.suffix != ".dat"]
+            for path in wholes:
+                try:
+                    made, words = corrected(self.arm, path, kept[path], cast(Frame, frame))
+                except CasacalError as error:
+                    here, there = str(path.with_suffix("")), Path(kept[path]).stem
+                    kind = RefusedResultError if isinstance(error, RefusedResultError) else CasacalError
+                    raise kind(error.what.replace(here, there), error.fix.replace(here, there)) from error
+                stem = "corrected" if len(wholes) == 1 else f"corrected_{Path(kept[path]).stem}"
+                out += [{"name": f"{stem}{end}", "data": base64.b64encode(data).decode()} for end, data in made]
+                said += words if len(wholes) == 1 else [f"{kept[path]}: {each}" for each in words]
+        return {"files": out, "said": list(map(for_page, said))}
 
     def _run(self, gate: str, words: str, run: Callable[[], None]) -> dict[str, Any]:
         """Do something that takes its time; the steps of others wait for it."""
@@ -395,8 +484,8 @@ class Work:
                 run()
             except CasacalError as error:
                 self.changed(gate, (str(error),), failed=True)
-            except Exception as error:  # nobody foresaw it; a window that waits must not be left without a word
-                self.changed(gate, (f"This failed for a reason that is not foreseen ({error!r})",), failed=True)
+            except Exception as error:  # a window that waits must not be left without a word
+                self.changed(gate, (unforeseen(error),), failed=True)
             finally:
                 with self.lock:
                     self.job = None
@@ -408,101 +497,13 @@ class Work:
         return {}
 
 
-def text_of(asked: Mapping[str, Any], name: str, longest: int) -> str:
-    """A text that a window sent; raises CasacalError."""
-    text = asked.get(name)
-    if not isinstance(text, str) or len(text) > longest:
-        raise CasacalError(f"'{name}' is no text of at most {longest} letters", "Send it again")
-    return text
+def unforeseen(error: Exception) -> str:
+    """Words for what nobody foresaw, which the log of the server tells whole."""
+    _LOG.error("casacal serve: unforeseen", exc_info=error)
+    return f"This failed for a reason that is not foreseen ({error!r}); the window of casacal serve tells more"
 
 
-def number_of(asked: Mapping[str, Any], name: str, low: float, high: float) -> float | None:
-    """A number in a field, None where it was left empty; raises CasacalError."""
-    text = text_of(asked, name, 40).strip().replace(",", ".")
-    if not text:
-        return None
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
-    if not (low < value <= high or value == low > 0):  # zero is no number of anything here, three touches are
-        what = f"'{text}' is no {'number of touches' if name == 'touches' else name}"
-        raise CasacalError(what, f"Give a number from {low:g} to {high:g}, or leave it empty")
-    return value
-
-
-ORIENTATIONS: Mapping[str, tuple[str, ...]] = {
-    "abc": ("a_deg", "b_deg", "c_deg"),
-    "wpr": ("w_deg", "p_deg", "r_deg"),
-    "rxyz": ("rx_rad", "ry_rad", "rz_rad"),
-    "rxyz_deg": ("rx_deg", "ry_deg", "rz_deg"),
-    "oat": ("o_deg", "a_deg", "t_deg"),
-    "quaternion": ("qw", "qx", "qy", "qz"),
-}
-"""Columns of an orientation as a pendant shows it, by the word that the page has for it."""
-
-
-def pendant_table(asked: Mapping[str, Any], turns: Sequence[bool]) -> Table:
-    """Rows of a pendant as a window sends them: joints, x, y, z and an orientation, one pose a line."""
-    form, text = text_of(asked, "form", 20), text_of(asked, "rows", 20_000)
-    refuse_unknown("form of an orientation", [form], ORIENTATIONS)
-    joints = [f"q{k}_{'deg' if turning else 'mm'}" for k, turning in enumerate(turns, 1)]
-    header = (*joints, "x_mm", "y_mm", "z_mm", *ORIENTATIONS[form])
-    rows, lines = list[tuple[str, ...]](), list[int]()
-    for number, line in enumerate(text.splitlines(), 1):
-        cells = tuple(line.replace(";", " ").replace(",", " ").split())
-        if cells and len(cells) != len(header):
-            what = f"Line {number} has {len(cells)} numbers, not {len(header)}"
-            raise CasacalError(what, f"Write {', '.join(header)}, apart by blanks")
-        if cells:
-            rows.append(cells)
-            lines.append(number)
-    if not ENOUGH_POSES <= len(rows) <= MOST_ROWS:
-        raise CasacalError(f"Got {counted(len(rows), 'pose')}", f"Give {ENOUGH_POSES} or more, at most {MOST_ROWS}")
-    return Table("the page", "", header, 0, tuple(rows), tuple(lines), decimal_comma=False)
-
-
-def uploaded(asked: Mapping[str, Any], place: Path) -> list[Path]:
-    """Files that a window sent, in a folder of their own, under names of ours; raises CasacalError."""
-    from casacal.programs.endings import ENDINGS
-
-    files = asked.get("files")
-    if not isinstance(files, list) or not 1 <= len(files) <= 2:
-        raise CasacalError("No file came", "Choose a file of targets or a program; of KRL both files")
-    paths = list[Path]()
-    for each in files:
-        sent: Mapping[str, Any] = each if isinstance(each, dict) else {}
-        suffix = Path(text_of(sent, "name", 300)).suffix.lower()
-        if suffix not in (".csv", ".dat", *ENDINGS):
-            raise CasacalError(f"A file that ends in '{suffix[:20]}' came", f"Give .csv, {', '.join(ENDINGS)}")
-        try:
-            data = base64.b64decode(text_of(sent, "data", 4_000_000), validate=True)
-        except binascii.Error:
-            raise CasacalError("The file came damaged", "Choose it again") from None
-        paths.append(place / f"targets{suffix}")
-        paths[-1].write_bytes(data)
-    return sorted(paths, key=lambda path: path.suffix == ".dat")
-
-
-def corrected(arm: CalibratedArm, paths: Sequence[Path]) -> tuple[list[tuple[str, bytes]], list[str]]:
-    """Names and bytes of corrected targets or of a program, and sentences; raises CasacalError where it is refused."""
-    from casacal.deployment.compensate import compensate, read_targets
-    from casacal.deployment.programs import notes, rounding_of, text_of
-    from casacal.programs.correct import compensate_program
-    from casacal.programs.endings import is_program
-    from casacal.programs.read import read_program
-
-    if is_program(paths[0]):
-        found = compensate_program(arm, read_program(paths[0]))
-        largest = float(found.correction_mm[found.reached].max(initial=0.0))
-        said = [f"{int(found.reached.sum())} targets corrected, by up to {largest:.2f} mm"]
-        said += [f"Left as it is: line {each.line}, {each.what}" for each in found.program.puzzles]
-        said += [f"Left as it is: {found.program.targets[i].name}: {why}" for i, why in found.why.items()]
-        names = [f"corrected{Path(path).suffix}" for path in found.program.paths]
-        return [(n, text.encode("latin-1")) for n, text in zip(names, found.texts, strict=True)], said
-    rounding = rounding_of("csv", arm.source.problem.robot)
-    targets = replace(read_targets(paths[0], arm.source), file=paths[0].name)
-    made = compensate(arm, targets, rounding=rounding)
-    lost = sum(outcome.value != "reached" for outcome in made.outcomes)
-    said = [*notes(made, arm), *([f"{lost} targets are not reached: see the column status"] if lost else [])]
-    return [("corrected.csv", text_of(made, "csv", arm).encode())], said
+def for_page(words: str) -> str:
+    """Words of casacal for its page, which has neither commands nor options: where they name some, that is said."""
+    own = "these are commands and options of casacal in a terminal, and this page has its gates in their place"
+    return f"{words} ({own})" if OF_TERMINAL.search(words) else words

@@ -646,7 +646,7 @@ def test_an_angle_is_typed_in_the_unit_in_which_it_is_asked_for(hsr):
     problem = Problem(hsr.problem.robot, CableEncoder())
     layout, joints = problem.layout(), np.radians([10.0, 20.0, 30.0, -40.0, 50.0, 60.0])
     touch = Touch(joints, {"encoder": np.radians(1085.44)}, {}, 1)
-    assert "encoder about 1085.44 deg" in posture(touch, layout)
+    assert "encoder about 1085.44 deg" in posture(Session(problem), touch)
     for line in ("1085", "1085 deg", "18.936822 rad", "10 20 30 -40 50 60 1085"):
         typed = touch_of(line, layout, touch, PLAIN)
         assert tuple(typed.readings.values()) == pytest.approx((np.radians(1085),))

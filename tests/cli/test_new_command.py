@@ -52,8 +52,9 @@ SOURCES = {
 
 
 @pytest.mark.parametrize("source", SOURCES)
-def test_the_folder_is_the_file(place, source):
+def test_the_folder_is_the_file(place, source, capsys):
     assert main(["new", "mine", *SOURCES[source], "--out", "problems"]) == 0
+    assert "casacal serve problems/mine" in capsys.readouterr().out
     folder = place / "problems" / "mine"
     files = sorted(["README.md", "problem.py", *([source] if source.endswith("urdf") else [])])
     assert sorted(path.name for path in folder.iterdir()) == files

@@ -603,6 +603,7 @@ def test_radians_where_degrees_belong_are_asked_about(fitted, tmp_path, capsys):
         (["RESULT"], "There are no TARGETS"),
         (["RESULT", "t.csv", "--inverse"], "--inverse is for a robot program"),
         (["PROGRAM", "--from", "RESULT"], "--from and --to go together"),
+        (["RESULT", "PROGRAM", "--frame", "tip", "--inverse"], "The tip is corrected for the arm itself"),
         (["RESULT", "PROGRAM", "--format", "krl"], "are for lists of targets"),
         (["RESULT", "PROGRAM", "--force"], "are for lists of targets"),
         (["RESULT", "PROGRAM", "--near", "1,2"], "--near has 2 joint values"),

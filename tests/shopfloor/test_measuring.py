@@ -17,7 +17,8 @@ from casacal import CasacalError, bind, lm, load_problem, plan
 from casacal.model.capsules import Skeleton
 from casacal.planning.clearance import Clearance
 from casacal.shopfloor import Session
-from casacal.shopfloor.conversation import ended
+from casacal.shopfloor.conversation import answered, ended, out_of_travel, posture, to_expect, told
+from casacal.shopfloor.gauges import gauge
 from casacal.shopfloor.known import LinearRows, _fitted, error_below, spectrum
 from casacal.shopfloor.touch import Touch, rows_of, slips_of
 from casacal.uncertainty.tip_error import expected_accuracy
@@ -538,3 +539,55 @@ def test_a_turn_of_the_pointer_is_forgotten_or_too_many():
     assert turned
     for slip in turned:
         assert ("forgotten" in slip.words) == (slip.touch.columns["reading"] > 5.0)
+
+
+@pytest.mark.parametrize(("seed", "apart"), [(2, 20.0), (3, 4.0)])
+def test_a_posture_that_would_crush_the_dial_is_warned_of(hsr, route, seed, apart):
+    """Faces stand some mm from where they were planned; the true arm and faces say what the dial would read."""
+    far = World(hsr.problem, route, seed=seed, faces=(apart, 3e-3))
+    samples, planned = route.samples, route.samples.columns["reading"]
+    here = far.residual(samples, samples.joints, planned)
+    true = planned - here / (far.residual(samples, samples.joints, planned + 1.0) - here)
+    session, said = Session(hsr.problem, route), {"do not": 0, "the tip": 0, "": 0}
+    assert "as planned" in to_expect(session, session.next())
+    for number in range(1, 31):
+        touch, reading = session.next(), float(true[number - 1])
+        found, words = told(session, touch), out_of_travel(session, touch) or ""
+        if found is not None:
+            assert abs(reading - found[0]) < 4.5 * found[1], "not what the true dial would read"
+            assert f"reading about {found[0]:.2f} mm" in posture(session, touch)
+            well = 1.0 < reading < 9.0 and found[1] < 0.2
+            expected = "do not" if reading < -0.2 else "the tip" if reading > 12.0 else "" if well else words[:6]
+            assert words.startswith(expected) if expected else not words, (reading, words)
+            said[words[:7].strip() if words.startswith("the") else words[:6]] += 1
+            assert not words or f"until it reads about {planned[number - 1]:.2f} mm" in words
+            assert not words or f"its travel of 0 to 10 mm; {'stand off' if words[0] == 'd' else 'go nearer'}" in words
+        assert found is not None or number < 15
+        session = session.take(*far.touch(number), number=number)
+        session = session if session.alarm is None else session.keep()
+    assert said["do not"] > 5
+    assert said["the tip" if apart > 10 else ""] > 5
+
+
+def test_what_is_off_is_said_as_it_is_read(late, world):
+    """A reading above the expected one is off by a positive number, as large as the dial shows it."""
+    touch = late.next()
+    joints, _, _ = world.touch(touch.number)
+    expected, std = late.expected(replace(touch, joints=joints))
+    for off in (2 * std, -2 * std):
+        line = " ".join([*(f"{value:.6f}" for value in np.degrees(joints)), f"{expected + off:.5f}"])
+        (words,) = answered(late, touch, line, gauge("plain")).said
+        said = float(words.split("; ")[1].partition(" mm from what was expected")[0])
+        assert said == pytest.approx(off, rel=0.05, abs=1e-4)
+
+
+def test_the_touch_that_is_named_is_skipped(late):
+    touch = late.next()
+    after = answered(late, touch, f"s {touch.number + 2}", gauge("plain")).session
+    assert after.skipped == {touch.number + 2}
+    assert after.next().number == touch.number
+    assert answered(late, touch, "s", gauge("plain")).session.skipped == {touch.number}
+    for line, words in (("s 3", "u 3 takes it back"), ("s 999", "1 to 50"), ("1,5 2.5 3,5", "here they are mixed")):
+        answer = answered(late, touch, line, gauge("plain"))
+        assert words in answer.said[0]
+        assert answer.session is late

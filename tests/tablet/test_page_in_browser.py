@@ -221,6 +221,13 @@ def test_a_session_of_forty_touches(browser, serve, planned, tmp_path):
     page.part("#targets").send_keys(str(targets))
     page.part("#correction button").click()
     page.until(lambda: "Save corrected.csv" in page.text("#corrected"), "corrected targets")
+    bad = tmp_path / "bad.csv"
+    bad.write_text("q1_deg\nx\n")
+    page.part("#targets").send_keys(str(bad))  # beside the first
+    assert page.text("#corrected") == ""
+    page.part("#correction button").click()
+    page.until(lambda: "bad.csv" in page.text("#trouble"), "a refusal of both")
+    assert page.text("#corrected") == ""
     severe = [each for each in browser.get_log("browser") if "Failed to load resource" not in each["message"]]
     assert [each for each in severe if "ERR_CONNECTION" not in each["message"]] == []
 

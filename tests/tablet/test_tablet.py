@@ -22,17 +22,21 @@ from measured_world import World
 from played_controllers import PlayedArm, rtde_controller
 from scipy.spatial.transform import Rotation
 
-from casacal import CasacalError, calibrate, load_problem, plan
+from casacal import CasacalError, calibrate, load_problem, plan, simulate
 from casacal.cli.main import main
+from casacal.deployment.predict import predict
+from casacal.deployment.programs import no_gain
 from casacal.planning import read_route
 from casacal.planning.clearance import Clearance
 from casacal.planning.plan import write_plan
 from casacal.planning.scene import scene
 from casacal.shopfloor.controllers import controller
 from casacal.shopfloor.gauges import gauge
+from casacal.tablet.asked import number_of, pendant_table, uploaded
 from casacal.tablet.gates import document
 from casacal.tablet.server import address_of, is_this_machine, listening, server, token_of
-from casacal.tablet.work import OutdatedError, Work, Workplace, number_of, pendant_table, uploaded
+from casacal.tablet.work import OutdatedError, Work, Workplace, for_page
+from casacal.wording import mm
 
 PLAIN = gauge("plain")
 TOKEN = "a-token-of-this-test"
@@ -325,11 +329,12 @@ def test_the_whole_way_without_a_browser(hsr, planned, tmp_path):
     assert document(work)["gates"]["verify"]["state"] == "passed"
     targets = "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n10,20,30,-50,-55,-50\n0,10,20,0,30,0\n"
     sent = [{"name": "C:\\cell\\targets.csv", "data": base64.b64encode(targets.encode()).decode()}]
-    found = work.do("correct", {"version": work.version, "files": sent})
+    found = work.do("correct", {"version": work.version, "files": sent, "frame": "tip"})
     data = base64.b64decode(found["files"][0]["data"]).decode()
     (tmp_path / "targets.csv").write_text(targets)
     out = tmp_path / "corrected.csv"
-    assert main(["compensate", str(work.place.fit), str(tmp_path / "targets.csv"), "--out", str(out)]) == 0
+    command = ["compensate", str(work.place.fit), str(tmp_path / "targets.csv"), "--frame", "tip"]
+    assert main([*command, "--out", str(out)]) == 0
     assert rows_of(data) == rows_of(out.read_text())
     assert "compensate targets.csv" in data  # not the name under which it was kept here
     with pytest.raises(CasacalError, match="were made"):
@@ -337,7 +342,7 @@ def test_the_whole_way_without_a_browser(hsr, planned, tmp_path):
     enter(work, "u")
     assert work.outdated
     with pytest.raises(CasacalError, match="after the calibration"):
-        work.do("correct", {"version": work.version, "files": sent})
+        work.do("correct", {"version": work.version, "files": sent, "frame": "tip"})
 
 
 def test_too_few_touches_are_said_before_anybody_makes_them(hsr, planned, tmp_path):
@@ -420,6 +425,7 @@ def test_pendant_rows_become_columns_with_units():
     assert table.lines == (1, 3, 4, 5)
     for form, text, words in (
         ("rxyz", "1 2 3", "Line 1 has 3 numbers, not 12"),
+        ("rxyz", "1,5 2.5 3", "are mixed"),
         ("rxyz", "", "Got 0 poses"),
         ("rxyz", rows.partition("\n")[0], "Got 1 pose"),
         ("euler", "1", "euler"),
@@ -465,6 +471,9 @@ def test_four_poses_confirm_the_conventions_once(hsr, planned, tmp_path):
         ([], "No file"),
         ([{"name": "x.exe", "data": ""}], "ends in"),
         ([{"name": "../../x.csv", "data": "not base64!"}], "damaged"),
+        ([{"name": "a.csv", "data": ""}, {"name": "/x/A.CSV", "data": ""}], "Two files called 'A.CSV'"),
+        ([{"name": "x.dat", "data": ""}, {"name": "y.src", "data": ""}], "'x.dat' came without"),
+        ([{"name": "x.csv", "data": ""}] * 21, "21 files"),
         ([{"data": ""}], "no text"),
         (["x"], "no text"),
         ([{"name": "x.csv", "data": "A" * 5_000_000}], "at most"),
@@ -476,8 +485,9 @@ def test_files_that_are_refused(tmp_path, files, words):
 
 
 def test_files_are_kept_under_names_of_ours(tmp_path):
-    sent = [{"name": "/etc/../x.DAT", "data": ""}, {"name": "..\\..\\y.src", "data": ""}]
-    assert uploaded({"files": sent}, tmp_path) == [tmp_path / "targets.src", tmp_path / "targets.dat"]
+    sent = [{"name": name, "data": ""} for name in ("/etc/../x.DAT", "..\\..\\x.src", "x.csv", "y.csv")]
+    kept = {"targets0.dat": "x.DAT", "targets0.src": "x.src", "targets0.csv": "x.csv", "targets1.csv": "y.csv"}
+    assert uploaded({"files": sent}, tmp_path) == {tmp_path / name: shown for name, shown in kept.items()}
 
 
 def test_the_picture_in_space_stands_where_the_arm_does(hsr, planned):
@@ -567,3 +577,322 @@ def test_what_nobody_foresaw_is_said_and_the_next_step_works(workplace, planned,
     assert "not foreseen (ZeroDivisionError('planted'))" in gate["said"][0]
     enter(work, "u")
     assert len(work.recording.session) == 35
+
+
+@pytest.fixture
+def measured(workplace, planned):
+    """A page after ten touches; its files stand in its own folder, the plan as well."""
+    workplace.folder.mkdir()
+    shutil.copy(planned[0], workplace.folder / "plan.csv")
+    work = Work(replace(workplace, plan=None))
+    for number in range(1, 11):
+        enter(work, well_made(planned[1], number))
+    return work
+
+
+def shown(work):
+    """What GET /state answers, with the gates' states and words."""
+    with served(work) as (host, cookie):
+        status, _, text = ask(host, "/state", Cookie=cookie)
+    assert status == 200, text
+    return json.loads(text)
+
+
+def spoil_cell(place):
+    place.samples.write_text(re.sub(r"\n(-?[\d.]+),", r"\nx7,", place.samples.read_text(), count=1))
+
+
+def unknown_touch(place):
+    place.samples.write_text(place.samples.read_text().replace(",1,fit,", ",99,fit,", 1))
+
+
+def short_row(place):
+    with place.samples.open("a") as file:
+        file.write("1,2\n")
+
+
+def longer_comment(place):
+    place.samples.write_text(place.samples.read_text().replace("\n", " and more\n", 1))
+
+
+def folder_there(place):
+    place.samples.unlink()
+    place.samples.mkdir()
+
+
+def file_for_folder(place):
+    shutil.move(place.folder, place.folder.with_name("aside"))
+    place.folder.write_text("x")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "named"),
+    [
+        (spoil_cell, "samples.csv, line 3"),
+        (unknown_touch, "touch 99 is none of the plan"),
+        (short_row, "samples.csv"),
+        (longer_comment, "another program has changed this file"),
+        (folder_there, "samples.csv"),
+        (file_for_folder, "plan.csv' is gone"),
+        (lambda place: place.plan_file.unlink(), "plan.csv' is gone"),
+    ],
+)
+def test_spoilt_files_are_said_and_mending_them_mends_the_page(measured, spoil, named, tmp_path):
+    place, kept = measured.place, tmp_path / "kept"
+    shutil.copytree(place.folder, kept)
+    spoil(place)
+    found = shown(measured)
+    assert named in found["trouble"]
+    assert all(found["trouble"] in found["gates"][name]["missing"] for name in ("plan", "measure"))
+    with pytest.raises(CasacalError, match=re.escape(named.partition(",")[0])):
+        enter(measured, "1.0")
+    for path in (place.samples, place.folder):
+        if path.is_dir():
+            shutil.rmtree(path)
+        elif path.exists():
+            path.unlink()
+    shutil.copytree(kept, place.folder)
+    found = shown(measured)
+    assert found["trouble"] == ""
+    assert found["gates"]["measure"]["made"] == 10
+
+
+def test_a_gate_that_falls_over_leaves_the_others_and_is_in_the_log(measured, monkeypatch, caplog):
+    def fall(*_):
+        raise ZeroDivisionError("planted")
+
+    monkeypatch.setattr("casacal.tablet.gates.in_units", fall)
+    found = shown(measured)
+    assert "not foreseen (ZeroDivisionError('planted'))" in found["gates"]["cell"]["missing"]
+    assert found["gates"]["measure"]["made"] == 10
+    assert "ZeroDivisionError: planted" in caplog.text
+    monkeypatch.setattr("casacal.tablet.server.files", fall)
+    caplog.clear()
+    with served(measured) as (host, cookie):
+        assert ask(host, "/file/plan.csv", Cookie=cookie)[0] == 500
+    assert "ZeroDivisionError: planted" in caplog.text
+
+
+def test_touches_that_vanished_and_a_plan_that_changed_are_said(measured, planned):
+    place = measured.place
+    lines = place.samples.read_text().splitlines(keepends=True)
+    made = len(measured.recording.session)
+    place.samples.write_text("".join(lines[:-3]))
+    found = shown(measured)
+    assert f"{made} touches had been made" in found["trouble"]
+    assert f"hold {made - 3}" in found["trouble"]
+    place.samples.write_text("".join(lines))
+    assert shown(measured)["trouble"] == ""
+    place.samples.write_text("")
+    assert "others took the rest out" in shown(measured)["trouble"]
+    place.samples.write_text("".join(lines))
+    with place.plan_file.open("a") as file:
+        file.write("# a note\n")
+    found = shown(measured)
+    assert "plan.csv' was changed after touches of it were made" in found["trouble"]
+    shutil.copy(planned[0], place.plan_file)
+    assert shown(measured)["gates"]["measure"]["made"] == made
+
+
+def test_a_plan_is_made_again_and_never_over_touches(measured, tmp_path):
+    place = measured.place
+    place.plan_file.unlink()
+    with pytest.raises(CasacalError, match="touches of it were made"):
+        measured.do("plan", {"version": version_of(measured), "touches": "40", "tolerance": ""})
+    fresh = Work(replace(place, folder=tmp_path / "fresh"))
+    for touches in ("40", "41"):
+        fresh.do("plan", {"version": fresh.version, "touches": touches, "tolerance": ""})
+        wait(fresh)
+        assert not fresh.failed["plan"], fresh.said["plan"]
+        assert len(fresh.recording.session.plan) == int(touches)
+    assert not [path for path in fresh.place.folder.iterdir() if path.name.startswith(".")]
+
+
+def version_of(work):
+    work.look()
+    return work.version
+
+
+def test_what_stands_in_the_place_of_touches_leaves_no_dead_end(measured):
+    """An undo that cannot be written leaves nothing behind that refuses all later ones."""
+    place, kept = measured.place, measured.place.samples.read_bytes()
+    place.samples.write_text("of somebody else\n")
+    with pytest.raises(CasacalError, match="in the place of measured rows"):
+        measured.recording.file.rewrite(measured.recording.session.touches[:-1])
+    assert not list(place.folder.glob(".casacal*"))
+    place.samples.write_bytes(kept)
+    measured.look()
+    enter(measured, "u")
+    assert len(measured.recording.session) == 9
+
+
+def problem_of_its_own(tmp_path):
+    folder = tmp_path / "hsr_jr680"
+    shutil.copytree(ROOT / "problems" / "hsr_jr680", folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def way(hsr, tmp_path_factory):
+    """A folder with a problem of its own, and beside it that of a page after a calibration."""
+    base = tmp_path_factory.mktemp("way")
+    (base / "work").mkdir()
+    problem_of_its_own(base)
+    made = plan(hsr.problem, hsr.cell, touches=44, pool=300, starts=1, seed=8)
+    write_plan(base / "work" / "plan.csv", made, hsr.problem, hsr.name)
+    work = page_of(base)
+    world = World(hsr.problem, work.recording.session.plan, seed=6)
+    for number in range(1, 45):
+        enter(work, well_made(world, number))
+        while work.recording.session.alarm is not None:
+            enter(work, "k")
+    work.do("calibrate", {"version": work.version})
+    wait(work)
+    assert not work.failed["decide"], work.said["decide"]
+    return base
+
+
+def page_of(base):
+    return Work(Workplace(load_problem(base / "hsr_jr680"), base / "work", PLAIN, 0.0, Clearance()))
+
+
+@pytest.fixture
+def calibrated(way, tmp_path):
+    return shutil.copytree(way, tmp_path / "way")
+
+
+def test_a_problem_that_was_edited_asks_for_a_restart_and_a_restart_begins(calibrated):
+    work, file = page_of(calibrated), calibrated / "hsr_jr680" / "problem.py"
+    text = file.read_text()
+    file.write_text(f"{text}\n# a remark changes nothing\n")
+    assert not work.edited
+    file.write_text(f"{text}\nREMARK = 1\n")
+    with pytest.raises(CasacalError, match="start it again"):
+        work.do("calibrate", {"version": work.version})
+    assert "start it again" in document(work)["gates"]["cell"]["missing"]
+    again = page_of(calibrated)
+    gate = document(again)["gates"]["decide"]
+    assert gate["failed"]
+    assert "has changed since the calibration" in gate["said"][0]
+    assert document(again)["gates"]["hand_over"]["state"] == "ahead"
+    assert document(again)["gates"]["measure"]["made"] == 44
+    again.do("calibrate", {"version": again.version})
+    wait(again)
+    assert not again.failed["decide"]
+
+
+TARGETS = 'name,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n"left, low",10,20,30,-50,-55,-50\nhigh,0,10,20,0,30,0\n'
+JOINTS = np.radians([[10, 20, 30, -50, -55, -50], [0, 10, 20, 0, 30, 0]])
+SCRIPT = f"movej([{', '.join(f'{q:.9f}' for q in JOINTS[1])}])\n"
+
+
+@pytest.fixture(scope="module")
+def ur5_arm():
+    source = load_problem(ROOT / "problems" / "ur5")
+    return calibrate(source, simulate(source.problem, source.cell, samples=80, seed=3).samples).arm
+
+
+def hand_over(work, frame, **files):
+    data = {name.replace("_", "."): base64.b64encode(text.encode()).decode() for name, text in files.items()}
+    sent = [{"name": name, "data": each} for name, each in data.items()]
+    found = work.do("correct", {"version": work.version, "files": sent, "frame": frame})
+    return {each["name"]: base64.b64decode(each["data"]).decode() for each in found["files"]}, found["said"]
+
+
+@pytest.mark.parametrize(("frame", "expected"), [("tip", "expected_mm"), ("flange", "flange_expected_mm")])
+def test_what_was_chosen_goes_where_it_was_meant_to_go(calibrated, ur5_arm, frame, expected):
+    """Tip or flange of the calibrated arm stand where those of the nominal one would; the error to expect is said."""
+    work = page_of(calibrated)
+    work.arm = ur5_arm  # whose tool is no better known than its flange
+    gate = document(work)["gates"]["hand_over"]
+    assert [value for value, _ in gate["frames"]] == ["tip", "flange"]  # the first is what Decide speaks of
+    value = getattr(work.arm.found.tip, expected)
+    assert mm(value) in dict(gate["frames"])[frame]
+    out, said = hand_over(work, frame, a_csv=TARGETS, a_script=SCRIPT)
+    assert any(f"a.csv: position error of the {frame} to expect" in each for each in said)
+    assert any(f"a.script: position error of the {frame} to expect" in each for each in said)
+    rows = rows_of(out["corrected_a.csv"])
+    assert [row[rows[0].index("name")] for row in rows[1:]] == ["left, low", "high"]
+    first = rows[0].index("q1_deg")
+    moved = np.radians([[float(cell) for cell in row[first : first + 6]] for row in rows[1:]])
+    program = [float(each) for each in re.findall(r"-?\d+\.\d+", out["corrected_a.script"])]
+    assert program == pytest.approx(moved[1].tolist(), abs=1e-8)
+    for each in ("tip", "flange"):
+        meant = predict(work.arm, JOINTS, frame=each, nominal=True).positions
+        miss = np.linalg.norm(predict(work.arm, moved, frame=each).positions - meant, axis=1).max()
+        assert (miss < 1e-3) == (each == frame), (each, miss)
+
+
+def test_the_tip_is_not_corrected_for_another_tool(calibrated):
+    work = page_of(calibrated)
+    nominal = predict(work.arm, JOINTS[1:], nominal=True).poses[0]
+    place = nominal @ np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 40.0], [0, 0, 0, 1]])
+    turn = Rotation.from_matrix(place[:3, :3]).as_rotvec()
+    pose = ", ".join(f"{value:.6f}" for value in [*place[:3, 3] / 1000, *turn])
+    text = f"set_tcp(p[0,0,0.04,0,0,0])\n{SCRIPT}movel(p[{pose}])\n"
+    with pytest.raises(CasacalError, match=r"welding\.script, line 3.*its tool ends \d.*Correct the flange"):
+        hand_over(work, "tip", welding_script=text)
+    assert "corrected.script" in hand_over(work, "flange", welding_script=text)[0]
+
+
+def test_several_files_are_all_corrected_or_none(calibrated):
+    work = page_of(calibrated)
+    out, said = hand_over(work, "tip", a_csv=TARGETS, b_csv=TARGETS.replace("high", "low"))
+    assert list(out) == ["corrected_a.csv", "corrected_b.csv"]
+    assert all(each.startswith(("a.csv: ", "b.csv: ")) for each in said)
+    with pytest.raises(CasacalError, match=r"^b\.csv, line 3") as refused:
+        hand_over(work, "tip", a_csv=TARGETS, b_csv=TARGETS.replace("high,0", "high,x"))
+    assert str(calibrated) not in str(refused.value)
+    assert "/" not in str(refused.value)
+    with pytest.raises(CasacalError) as refused:
+        hand_over(work, "tip", a_script="nothing()\n")
+    assert "a.script holds no move" in str(refused.value)
+
+
+def test_targets_that_are_not_reached_are_said_first(calibrated):
+    said = hand_over(page_of(calibrated), "tip", a_csv=TARGETS.replace("high,0", "high,999"))[1]
+    assert "1 of 2 targets not reached" in said[0]
+    assert "Not reached: line 3, the target's own joint values are outside the limits" in said[1]
+
+
+def test_a_correction_that_gains_nothing_is_warned_of():
+    assert no_gain(np.array([0.5, 0.4]), np.array([0.3, 0.3])) == []
+    assert no_gain(np.array([0.5, 0.4]), np.full(2, np.nan)) == []
+    (words,) = no_gain(np.array([0.5, 0.5]), np.array([0.84, 0.84]))
+    assert "(0.84 mm RMS) is not smaller than what it removes (0.5 mm RMS)" in words
+
+
+def test_words_of_the_terminal_are_named_as_such():
+    for words in ("Name another --out", "run casacal check X", "leave them with --skip-unknown"):
+        assert "in a terminal" in for_page(words)
+    for words in ("End casacal serve", "1 to 3 -- or more", "written by casacal 1.0: compensate x"):
+        assert for_page(words) == words
+
+
+def test_conventions_are_confirmed_twice_and_taken_back_where_poses_contradict(planned, tmp_path):
+    folder = problem_of_its_own(tmp_path)
+    source = load_problem(folder)
+    rows = {"right": [], "turned": [], "nothing": []}
+    rng = np.random.default_rng(3)
+    for k in range(5):
+        q = rng.uniform(-0.8, 0.8, 6)
+        pose = np.array(source.problem.robot.traced.at_drawn(q)).astype(float)
+        turn = Rotation.from_matrix(pose[:3, :3]).as_rotvec()
+        for name, joints in (("right", q), ("turned", q * [-1, 1, 1, 1, 1, 1]), ("nothing", q + 0.3 * k)):
+            numbers = [*np.degrees(joints), *pose[:3, 3], *turn]
+            rows[name].append(" ".join(f"{value:.6f}" for value in numbers).replace(".", "," if k else "."))
+    work = Work(Workplace(source, tmp_path / "work", PLAIN, 0.0, Clearance(), plan=planned[0]))
+
+    def compare(name):
+        work.do("conventions", {"version": work.version, "form": "rxyz", "rows": "\n".join(rows[name])})
+        return document(work)["gates"]["conventions"]["state"]
+
+    for contradicts in ("turned", "nothing"):
+        assert [compare("right"), compare("right")] == ["passed", "passed"]
+        assert compare(contradicts) == "open"
+        assert "counts no more" in work.said["conventions"][-1]
+        assert not load_problem(folder).confirmed
+    (folder / "conventions.json").write_text('{"written_by": "written by casacal 0.9", "poses": 4}')  # as it once was
+    work.source = load_problem(folder)
+    assert "conventions.json" in document(work)["gates"]["conventions"]["missing"]
+    assert compare("right") == "passed"

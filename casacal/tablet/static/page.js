@@ -78,6 +78,7 @@ function show(next) {
   document.title = `casacal: ${state.name}`;
   $("name").textContent = `${state.name} · ${state.robot}`;
   $("busy").textContent = state.job === null ? "" : `${state.job} …`;
+  $("spoilt").textContent = state.trouble;
   const shown = gateShown();
   $("gates").replaceChildren(...Object.keys(TITLES).map((name) => {
     const gate = state.gates[name].state;
@@ -136,7 +137,7 @@ function showMeasure(gate) {
   const next = gate.next, waits = next !== null || gate.doubt !== null;
   const number = next === null ? "" : next.number === null ? "One more touch" : `Touch ${next.number} of ${gate.planned}`;
   $("where").textContent = next === null ? "" : [number, next.where, next.purpose].filter(Boolean).join(" · ");
-  $("do-not").textContent = next !== null && next.warning ? `Do not go there: ${next.warning}. Skip it.` : "";
+  $("do-not").textContent = next === null ? "" : next.warning;
   showPosture(next);
   $("expected").textContent = next === null ? "" : `Expect ${next.expected || "a touch"}`;
   $("waiting").textContent = gate.waiting;
@@ -183,9 +184,10 @@ function button(words, line) {
 }
 
 function progress(gate) {
+  const made = `${gate.made} touch${gate.made === 1 ? "" : "es"}`;
   const told = [el("p", gate.error === null
-    ? `${gate.made} touches; nothing is known of the tip error yet.`
-    : `${gate.made} touches: a tip error of ${gate.error} mm is expected, below ${gate.below} mm 19 times of 20, if the priors and the model are right.`)];
+    ? `${made}; nothing is known of the tip error yet.`
+    : `${made}: a tip error of ${gate.error} mm is expected, below ${gate.below} mm 19 times of 20, if the priors and the model are right.`)];
   const points = gate.curve.filter(([, error]) => error > 0);
   if (points.length > 1) told.push(curve(points, gate.tolerance));
   return told;
@@ -233,6 +235,9 @@ function showDecision(gate) {
 function showHandOver(gate) {
   $("correction").hidden = gate.state === "ahead";
   $("caution").textContent = gate.caution || "";
+  const frames = gate.frames || [], chosen = $("frame").value;
+  $("frame").replaceChildren(...frames.map(([value, words]) => el("option", words, { value })));
+  if (frames.some(([value]) => value === chosen)) $("frame").value = chosen;
   $("files").replaceChildren(...state.files.map((name) => el("li", [el("a", name, {
     href: `/file/${name}`, target: "_blank", rel: "noopener",
   })])));
@@ -285,14 +290,16 @@ submitted("going-on", () => step("go_on", { tolerance: $("wanted").value }));
 submitted("planning", () => step("plan", { touches: $("touches").value, tolerance: $("plan-tolerance").value }));
 submitted("pendant", () => step("conventions", { form: $("form").value, rows: $("rows").value }));
 submitted("verification", () => step("verify", { tolerance: $("verify-tolerance").value }));
+$("targets").addEventListener("change", () => $("corrected").replaceChildren());
 submitted("correction", async () => {
+  $("corrected").replaceChildren();
   const files = await Promise.all([...$("targets").files].map(async (file) => {
     const bytes = new Uint8Array(await file.arrayBuffer());
     let letters = "";
     for (const byte of bytes) letters += String.fromCharCode(byte);
     return { name: file.name, data: btoa(letters) };
   }));
-  const found = await step("correct", { files });
+  const found = await step("correct", { files, frame: $("frame").value });
   if (found === null) return;
   const made = found.files.map(({ name, data }) => {
     const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
