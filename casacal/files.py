@@ -61,15 +61,6 @@ def refuse_others(path: str | Path, *, option: str = "--out") -> None:
         raise CasacalError(f"'{target}' exists and {what}", f"Name another {option}, or remove it first")
 
 
-def stamp(path: Path) -> tuple[int, ...]:
-    """Size and time of the last change, by which changes of others are seen; empty where there is nothing."""
-    try:
-        found = path.stat()
-    except OSError:
-        return ()
-    return found.st_mode, found.st_size, found.st_mtime_ns
-
-
 def write_text(path: str | Path, text: str, *, own: bool = False) -> None:
     """Write a UTF-8 text file completely, then put it in place; raises CasacalError when it cannot.
 

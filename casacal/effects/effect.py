@@ -12,6 +12,7 @@ import numpy as np
 from casacal.data.samples import Samples
 from casacal.data.text import finite_numbers
 from casacal.errors import ProblemError, SamplesError
+from casacal.model.instrument import Instrument
 from casacal.model.problem import Problem
 from casacal.model.term import Site, Term
 from casacal.model.unknown import Parameter
@@ -59,6 +60,11 @@ def effects_of(problem: Problem) -> tuple[Effect, ...]:
 def weighted(weights: Array, size: float, unit: str, per: str | None = None) -> Parameter:
     """Unknowns about zero whose standard deviations are a size times their weights (m,)."""
     return Parameter([0.0] * len(weights), unit=unit, prior_std=[size * float(weight) for weight in weights], per=per)
+
+
+def is_plainly(instrument: Instrument, kind: str) -> bool:
+    """Whether an instrument is of a class of `casacal.model`, such as "points.SphereTouch", and not one made of it."""
+    return f"{type(instrument).__module__}.{type(instrument).__qualname__}" == f"casacal.model.{kind}"
 
 
 class ByColumns(Effect, ABC):

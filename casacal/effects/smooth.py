@@ -12,9 +12,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from casacal.data.samples import Samples
-from casacal.effects.effect import Effect, weighted
+from casacal.effects.effect import Effect, is_plainly, weighted
 from casacal.model.kinematics import Expression, Product, transform_point
-from casacal.model.points import KnownPoint, SphereTouch
 from casacal.model.term import FaceFrame, Here, Site, SurveyedRows
 from casacal.model.unknown import Parameter
 from casacal.values import Array
@@ -127,9 +126,9 @@ class SphereForm(Effect):
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """Five amplitudes for each sphere, mm."""
-        if not isinstance(site.instrument, SphereTouch):
+        if not is_plainly(site.instrument, "points.SphereTouch"):
             return {}
-        return {self.key: weighted(np.ones(5), self.size, "mm", site.instrument.centre.per)}
+        return {self.key: weighted(np.ones(5), self.size, "mm", site.instrument.unknowns["centre"].per)}
 
     def residual(self, here: Here) -> Expression:
         """Residual change: minus the rise of the sphere where the ball touches it, mm."""
@@ -158,12 +157,13 @@ class PlateForm(Effect):
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """Bend along, twist, and bend across, mm."""
-        return {self.key: weighted(np.ones(3), self.size, "mm")} if isinstance(site.instrument, KnownPoint) else {}
+        plate = is_plainly(site.instrument, "points.KnownPoint")
+        return {self.key: weighted(np.ones(3), self.size, "mm")} if plate else {}
 
     def residual(self, here: Here) -> Expression:
         """Residual change: minus the height of the row's point, mm, in the plate's frame."""
-        assert isinstance(here.instrument, KnownPoint)
-        frame = FaceFrame.of(np.array(list(here.instrument.points.values())))
+        known = here.instrument.known_columns
+        frame = FaceFrame.of(np.array([list(known[axis].values()) for axis in "xyz"]).T)
         point = ca.vertcat(here.row.x, here.row.y, here.row.z)
         a, b = ca.vertsplit(ca.mtimes(frame.axes, point - frame.centre) / frame.half)
         return -np.cross(*frame.axes) * ca.dot(getattr(here.p, self.key), ca.vertcat(a**2, a * b, b**2))

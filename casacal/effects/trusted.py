@@ -6,18 +6,18 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from casacal.effects.effect import Effect, weighted
+from casacal.effects.effect import Effect, is_plainly, weighted
 from casacal.fit.bound_problem import BoundProblem
 from casacal.fit.least_squares import Result
 from casacal.model.instrument import Trusted
 from casacal.model.kinematics import Expression
 from casacal.model.problem import Problem
 from casacal.model.term import Here, Site
-from casacal.model.tracked_pose import POSITION, TrackedPose
 from casacal.model.unknown import Parameter
 from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 from casacal.values import Array
@@ -117,15 +117,15 @@ class FocalLength(Effect):
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """One part, for poses that are read."""
-        return {self.key: weighted(np.ones(1), self.size, "1")} if isinstance(site.instrument, TrackedPose) else {}
+        poses = is_plainly(site.instrument, "tracked_pose.TrackedPose")
+        return {self.key: weighted(np.ones(1), self.size, "1")} if poses else {}
 
     def reading(self, here: Here) -> Mapping[str, Expression]:
         """Corrections of the position along the body's z axis."""
-        assert isinstance(here.instrument, TrackedPose)
-        place = ca.vertcat(*(getattr(here.row, name) for name in POSITION))
-        axis = here.instrument.turn(here.row)[:, 2]
+        camera: Any = here.instrument
+        place, axis = ca.vertcat(here.row.x, here.row.y, here.row.z), camera.turn(here.row)[:, 2]
         along = getattr(here.p, self.key) * ca.dot(axis, place) * axis
-        return dict(zip(POSITION, ca.vertsplit(along), strict=True))
+        return dict(zip("xyz", ca.vertsplit(along), strict=True))
 
 
 COVERED = 3.0  # standard deviations of a constant up to which its prior is what covers an error of it

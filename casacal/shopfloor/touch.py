@@ -18,7 +18,7 @@ import numpy as np
 
 from casacal.data.samples import JOINT_DECIMALS, LARGEST, WRITTEN, Layout, Samples, samples_text
 from casacal.errors import CasacalError, SamplesError, came, refuse_unknown
-from casacal.files import place_whole, recover, stamp, together, writable, write_text
+from casacal.files import place_whole, recover, together, writable, write_text
 from casacal.model.instrument import OVERTRAVEL, readings_within
 from casacal.model.problem import Problem
 from casacal.planning.route import CHECK, FIT, PURPOSES
@@ -325,3 +325,12 @@ def _added(path: Path, data: bytes) -> None:
             os.fsync(out)
         finally:
             os.close(out)
+
+
+def stamp(path: Path) -> tuple[int, ...]:
+    """Size and time of the last change, by which changes of others are seen; empty where there is nothing."""
+    try:
+        found = path.stat()
+    except OSError:
+        return ()
+    return found.st_mode, found.st_size, found.st_mtime_ns

@@ -22,7 +22,7 @@ from typing import Any, cast
 from casacal.deployment.arm import FRAMES, CalibratedArm
 from casacal.deployment.result_file import read_result, same_code
 from casacal.errors import CasacalError, RefusedResultError, refuse_unknown
-from casacal.files import stamp, together, write_text
+from casacal.files import together, write_text
 from casacal.model.joints import Conventions
 from casacal.model.problem_file import CONVENTIONS, ProblemFile, SourceFile, keep_conventions
 from casacal.planning.clearance import Clearance
@@ -32,6 +32,7 @@ from casacal.shopfloor.conversation import doubt
 from casacal.shopfloor.gauges import Gauge, Inbox, SerialLine
 from casacal.shopfloor.recording import Recording, begun, plan_mark
 from casacal.shopfloor.session import Session
+from casacal.shopfloor.touch import stamp
 from casacal.tablet.asked import Frame, corrected, number_of, pendant_table, text_of, uploaded
 from casacal.values import Array
 from casacal.verification.verification import Verification

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from casacal import Parameter, Problem, bind, calibrate, load_problem, simulate
+from casacal import Parameter, Problem, SphereTouch, bind, calibrate, load, load_problem, simulate
 from casacal.effects import FocalLength, PlateForm, SphereForm
 from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 
@@ -137,3 +137,18 @@ def test_a_roundness_of_one_is_one_on_average():
 def test_other_instruments_have_no_such_errors(name, effects):
     problem = load_problem(INSTRUMENTS / name).problem.with_terms(*effects)
     assert not any(bind(problem, simulate(problem, samples=20, seed=1).samples).beside)
+
+
+class OwnSpheres(SphereTouch):
+    """Somebody's own."""
+
+
+def test_ones_own_instrument_is_read_back_as_it_was_calibrated(tmp_path):
+    problem = load_problem(INSTRUMENTS / "spheres").problem
+    made = simulate(problem, samples=60, seed=1)
+    parts = {field.name: getattr(problem.instrument, field.name) for field in dataclasses.fields(problem.instrument)}
+    found = calibrate(Problem(problem.robot, OwnSpheres(**parts)), made.samples, reference=False)
+    assert not any(name.startswith("roundness") for name in found.fit.names)
+    found.save(tmp_path)
+    joints = made.samples.joints[:3]
+    np.testing.assert_allclose(load(tmp_path).predict(joints).positions, found.predict(joints).positions, atol=1e-9)
