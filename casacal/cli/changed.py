@@ -7,6 +7,7 @@ from pathlib import Path
 
 from casacal.cli import common
 from casacal.cli.common import DONE, FAILED, JSON, add, whole_number
+from casacal.cli.fresh import add_fresh_rows, fresh_rows
 from casacal.cli.terminal import answer
 
 HELP = "detect changes since calibration: what, and by how much"
@@ -21,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "calibration, which one and by how much. Where the rows cannot tell, plan the touches that would. Exit 1 if "
         "something changed or is undecided."
     )
-    common.add_fresh_rows(parser, "faces that have not been moved since the calibration")
+    add_fresh_rows(parser, "faces that have not been moved since the calibration")
     add(parser, "--alarm RATE", "rate of false alarms, 0.001 to 0.5; default: 0.01", kind=float, default=0.01)
     add(parser, "--drift NAME=STD ...", "allowed drift since, a standard deviation in mm or rad, such as theta=2e-5")
     add(parser, "--touches FILE", f"write {TOUCHES} touches that would settle the cause, where needed")
@@ -35,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.changes.changed import looked
     from casacal.changes.explain import write_touches
 
-    result, other, named, rows = common.fresh_rows(options)
+    result, other, named, rows = fresh_rows(options)
     outs = [] if options.touches is None else [options.touches]
     common.spare(outs, options.samples, options.readings, result.file, *common.made_from(result))
     standing = common.names_of("--standing", options.standing)

@@ -86,37 +86,6 @@ def add_readings(parser: argparse.ArgumentParser, words: str = "the readings, wh
     add(parser, "--id COLUMN", "column that joins readings to their poses; default: pose", default="pose")
 
 
-def add_fresh_rows(parser: argparse.ArgumentParser, standing: str) -> None:
-    """Add RESULT and fresh rows, of its own instrument or another; `standing`: help of --standing."""
-    add(parser, *RESULT)
-    words = f"instrument that took these rows; default: the one with these columns, {OF_SEVERAL}"
-    add(parser, "--instrument NAME", words)
-    add(parser, "SAMPLES", "fresh rows: CSV, .xlsx, .npy or .npz")
-    add_readings(parser)
-    words = "the same arm with the instrument of these rows, such as a tracker; default: that of the calibration"
-    add(parser, "--problem PROBLEM", words)
-    add(parser, "--standing NAMES ...", f"{standing}: floor,wall,...")
-
-
-def fresh_rows(options: argparse.Namespace) -> tuple[CalibratedArm, ProblemFile | None, str | None, Samples]:
-    """The result that `add_fresh_rows` names, a problem of another instrument, which instrument it is, and its rows."""
-    from casacal.calibration.fresh import measured_by
-    from casacal.deployment.arm import for_instrument
-    from casacal.deployment.result_file import read_result
-    from casacal.model.problem_file import load_problem
-
-    if not options.samples.strip():
-        raise CasacalError("SAMPLES is empty", "Name a file of fresh rows")
-    result = read_result(options.result)
-    other = None if options.problem is None else load_problem(options.problem)
-    named = options.instrument if other is not None else measured_by(result, options.samples, options.instrument)
-    problem = for_instrument(result, named).source.problem if other is None else other.problem
-    return result, other, named, problem.read(options.samples, readings=options.readings, key=options.id)
-
-
-PROGRAM = "RAPID (.mod), KRL (.src with its .dat), URScript (.script), FANUC TP (.ls), Yaskawa (.jbi)"
-
-
 def spare(outs: Iterable[str | Path], *inputs: str | Path | None, option: str = "--out", own: bool = False) -> None:
     """Raise CasacalError where a command would write over its inputs or, unless `own`, over files of others."""
     from casacal.files import recover, refuse_others

@@ -8,21 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from casacal.cli.common import (
-    DONE,
-    FAILED,
-    FORCE,
-    INSTRUMENT,
-    JSON,
-    PROGRAM,
-    RESULT,
-    add,
-    add_frame,
-    made_from,
-    read_arm,
-    spare,
-)
-from casacal.cli.programs import PROGRAM_OPTIONS, add_program, read_program_of
+from casacal.cli.common import DONE, FAILED, FORCE, INSTRUMENT, JSON, RESULT, add, add_frame, made_from, read_arm, spare
+from casacal.cli.programs import PROGRAM, PROGRAM_OPTIONS, add_program, read_program_of
 from casacal.cli.terminal import answer
 from casacal.errors import CasacalError
 from casacal.wording import capital, counted, figures, shortened

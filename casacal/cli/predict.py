@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, FAILED, FORCE, INSTRUMENT, JSON, PROGRAM, RESULT, add, add_frame, read_arm
-from casacal.cli.programs import PROGRAM_OPTIONS, add_program, read_program_of
+from casacal.cli.common import DONE, FAILED, FORCE, INSTRUMENT, JSON, RESULT, add, add_frame, read_arm
+from casacal.cli.programs import PROGRAM, PROGRAM_OPTIONS, add_program, read_program_of
 from casacal.cli.terminal import answer
 from casacal.errors import CasacalError
 from casacal.wording import counted, listed

@@ -12,6 +12,9 @@ from casacal.errors import CasacalError
 if TYPE_CHECKING:
     from casacal.programs.program import TaughtProgram
 
+PROGRAM = "RAPID (.mod), KRL (.src with its .dat), URScript (.script), FANUC TP (.ls), Yaskawa (.jbi)"
+PROGRAM_OPTIONS = ("tool", "base", "near", "pulses")
+
 
 def add_program(parser: argparse.ArgumentParser) -> None:
     """Add what a robot program leaves to its controller."""
@@ -20,9 +23,6 @@ def add_program(parser: argparse.ArgumentParser) -> None:
     add(parser, "--base NAME=POSE ...", f"a base, work object or user frame likewise, or 'world'; {pose}")
     add(parser, "--near Q1,...", "joint values (degrees) where a program begins whose poses state no configuration")
     add(parser, "--pulses N1,...", "pulses per degree of the six axes, for Yaskawa's positions in pulses")
-
-
-PROGRAM_OPTIONS = ("tool", "base", "near", "pulses")
 
 
 def read_program_of(options: argparse.Namespace, path: str) -> tuple[TaughtProgram, list[float] | None]:

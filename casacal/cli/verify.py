@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from casacal.cli.common import DONE, FAILED, JSON, add, add_fresh_rows, fresh_rows, made_from, names_of, spare
+from casacal.cli.common import DONE, FAILED, JSON, add, made_from, names_of, spare
+from casacal.cli.fresh import add_fresh_rows, fresh_rows
 from casacal.cli.terminal import answer
 from casacal.errors import CasacalError
 

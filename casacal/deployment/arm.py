@@ -12,7 +12,8 @@ import casadi as ca
 import numpy as np
 
 from casacal.data.samples import Samples
-from casacal.deployment.result import CalibrationResult, result_of
+from casacal.deployment.document import result_of
+from casacal.deployment.result import CalibrationResult
 from casacal.effects.compliance import LinkSag
 from casacal.effects.effect import effects_of, refuse_unless
 from casacal.effects.kit import with_kit, with_link_kit

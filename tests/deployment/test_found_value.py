@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from casacal import calibrate, load
-from casacal.deployment.result import CalibrationResult, FaceNoise, Verdict, result_of
+from casacal.deployment.document import result_of
+from casacal.deployment.result import CalibrationResult, FaceNoise, Verdict
 
 
 @pytest.fixture(scope="module")
