@@ -197,7 +197,7 @@ def test_nobody_is_sent_to_a_check_that_was_asked(hsr, changes, asked, step, mon
     assert ("the data check found no cause" in said) is asked
     assert step in said
     assert len(calls) == asked
-    monkeypatch.setattr("casacal.calibration.summary.doubts", lambda _: [])  # one that says no step of its own
+    monkeypatch.setattr("casacal.calibration.brief.doubts", lambda _: [])  # one that says no step of its own
     assert ("casacal check" in next_step(found, verdict)) is not asked
 
 
@@ -208,8 +208,8 @@ def test_residuals_that_nothing_explains_are_looked_at_before_priors(hsr, corner
     one = ["floor" if label == "wall" else label for label in samples.labels["plane"]]
     merged = dataclasses.replace(samples, labels={**samples.labels, "plane": Labels.of(one)})
     found = calibrate(hsr.problem, merged, reference=False)
-    monkeypatch.setattr("casacal.calibration.summary.priors_contradicted", lambda _: "they do not fit")
-    monkeypatch.setattr("casacal.calibration.summary.wrong_with_samples", lambda _: ())
+    monkeypatch.setattr("casacal.calibration.brief.priors_contradicted", lambda _: "they do not fit")
+    monkeypatch.setattr("casacal.calibration.brief.wrong_with_samples", lambda _: ())
     verdict = verdict_of(found)
     assert "hardly lowered them" in verdict.words
     assert next_step(found, verdict).startswith("run casacal check")
