@@ -116,7 +116,7 @@ def test_a_scara_goes_where_new_sends_it(place, capsys):
     rows = "1,0,350,200,0,R\n2,180,250,0,0,R\n3,0,0,0,0,P\n4,0,0,50,0,R\n"
     (place / "scara.csv").write_text("# convention: standard\njoint,alpha_deg,a_mm,d_mm,theta_deg,kind\n" + rows)
     assert main(["new", "scara", "--dh", "scara.csv"]) == 0
-    advised = capsys.readouterr().out.rsplit("casacal simulate ", 1)[1].split()
+    advised = capsys.readouterr().out.rsplit("casacal simulate ", 1)[1].split("\n", 1)[0].split()
     assert main(["simulate", *advised]) == 0
     problem = load_problem("scara").problem
     samples = problem.read(advised[-1])
