@@ -453,7 +453,10 @@ def most_turned(fit: BoundProblem) -> float:
 
 
 def wrong_with_samples(calibration: Calibration) -> tuple[Finding, ...]:
-    """Errors in the fitted rows, by the whole data check where the fit is suspicious, else by the quick checks."""
+    """Errors in the fitted rows, by the whole data check where the fit is suspicious, else by the quick checks.
+
+    Single rows are outliers where they are so beside the effects that were fitted too, not for geometry alone.
+    """
     found = calibration.data_errors if calibration.suspicious else calibration.plain_errors
     own = [each for each in calibration.instrument_findings if each.severity == "error"]
     reported = {"misfit", SCALE, *(error.about for error in own)}
