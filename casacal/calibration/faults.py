@@ -13,6 +13,7 @@ import numpy as np
 from casacal.calibration.conventions import in_problem, patterns
 from casacal.calibration.finding import (
     FIRST_STEPS,
+    KEPT,
     Fault,
     Finding,
     Undo,
@@ -34,11 +35,13 @@ from casacal.model.instrument import ANGLE_UNITS, UNIT_MISTAKES, Suspect, readin
 from casacal.model.joints import Conventions
 from casacal.model.problem import Problem
 from casacal.model.problem_text import conventions_line
+from casacal.uncertainty.moves import prior_scatter
 from casacal.values import Array, Index, Rows
 from casacal.wording import figures, numbered_lines, times
 
 MOVED = "something moved"
 MOST_SCALE = 0.2  # part by which readings are too large beyond which it is no error of scale
+LITTLE = 0.99  # part of the squares that a step for such a size may leave
 ROUNDS = 4  # Gauss-Newton steps for the size of a fault; all are nearly linear in it
 
 PLACES = 12
@@ -61,6 +64,8 @@ EXPLAINED = 50.0  # misfit that noise and effects leave at most; what leaves mor
 CHANCE = 1.3  # a misfit of this size is chance: whatever leaves no more explains it all
 ALIKE = 1.5  # within this factor a fault and its absence cannot be told apart
 PROMISING = 12  # faults, or pairs of them, that a first look finds best and that are fitted to the end
+NEAR, FAR = 3.0, 10.0  # times the scatter of arms as drawn that rows may have: with the cause undone, and ever
+OF_BASE = 0.2  # part of the scatter of the rows as they are, up to which a pair of faults is fitted however it scatters
 PAIRED = 3  # single faults, beside the usual ones, that are tried together with others
 RIVALS = 3  # faults that would explain it equally well and are named
 
@@ -266,7 +271,11 @@ def fitted_sizes(
         left = freed_of_unknowns(bound, result, slopes)
         if not left.any(axis=0).all():
             break
-        sizes = sizes - np.linalg.lstsq(left, weighted(bound, result, here), rcond=None)[0]
+        whole = weighted(bound, result, here)
+        step, *_ = np.linalg.lstsq(left, whole, rcond=None)
+        if ((whole - left @ step) ** 2).sum() > LITTLE * (whole**2).sum():  # it explains nothing, or is found
+            break
+        sizes = sizes - step
     return tuple(map(float, sizes))
 
 
@@ -559,21 +568,32 @@ def explained(
     """
     nothing = _Attempt((), Undone(problem, samples), 0.0)
     whole = samples if whole is None or len(whole) > MOST_PAIRED else whole
-    faults = chain(suspected(problem, samples), pairings(whole), _some_radians(problem, whole))
-    tried = _looked_at_closely([each for fault in faults for each in _one(fault, nothing)])
+    faults = [*chain(suspected(problem, samples), pairings(whole), _some_radians(problem, whole))]
+    drawn = bind(problem, samples)
+    usual, off = prior_scatter(drawn, flat_counts=True).rms, _trimmed(drawn.plain_residual(drawn.x0))
+    near, most = NEAR * usual, max(FAR * usual, OF_BASE * off)
+    tried = _looked_at_closely(plain := _singles([fault for fault in faults if not fault.freedom], nothing, near, most))
+    makers: list[_Attempt] | None = None
+    if base > EXPLAINED:  # more than any arm errs: what then leaves no more than chance is the cause
+        if (best := _simplest(tried)) is not None and best.size <= CHANCE:
+            return _misfit_cause(best, base, tried, [])
+        if gross:
+            makers = _of_makers(nothing)
+            if (best := _simplest(makers)) is not None and best.size <= CHANCE:
+                return _misfit_cause(best, base, makers, [])
+    tried = _looked_at_closely([*plain, *_singles([fault for fault in faults if fault.freedom], nothing, near, most)])
     best = _simplest(tried)
-    if best is None:
-        return None
-    if best.size > max(min(BETTER * base, EXPLAINED), SUSPICIOUS) and gross:
-        makers = [_to_the_end(each) for fault in patterns(problem, samples) for each in _one(fault, nothing)]
+    left = math.inf if best is None else best.size
+    if left > max(min(BETTER * base, EXPLAINED), SUSPICIOUS) and gross:
+        makers = _of_makers(nothing) if makers is None else makers
         maker = _simplest(makers)
-        if maker is not None and maker.size < min(BETTER * min(best.size, base), EXPLAINED):
+        if maker is not None and maker.size < min(BETTER * min(left, base), EXPLAINED):
             return _misfit_cause(maker, base, makers, [])
-        pairs = _pairs(tried, problem)
+        pairs = _pairs(tried, problem, most)
         both = _simplest(pairs)
-        if both is not None and both.size < min(BETTER * min(best.size, base), EXPLAINED):
+        if both is not None and both.size < min(BETTER * min(left, base), EXPLAINED):
             return _misfit_cause(both, base, pairs, [])
-    if best.size > max(min(BETTER * base, EXPLAINED), CHANCE):
+    if best is None or left > max(min(BETTER * base, EXPLAINED), CHANCE):
         return None
     tool = [fault.about for fault in best.faults] == [TOOL]
     alike = alike_numbers(bind(problem, samples), tool_keys(problem)) if tool else ()
@@ -594,20 +614,74 @@ def cause_of_rows(problem: Problem, samples: Samples, off: Rows) -> Finding | No
     return None
 
 
-def _one(fault: Fault, before: _Attempt) -> Iterator[_Attempt]:
-    """The attempt with one more fault undone; nothing where it cannot be undone."""
+def _undone(fault: Fault, before: _Attempt) -> Iterator[_Attempt]:
+    """The attempt with one more fault undone, not fitted yet; nothing where it cannot be undone."""
     try:
         undone = fault.undo(before.undone.problem, before.undone.samples)
     except CasacalError:  # such as a tool of an instrument that holds it
         return
-    undone = replace(undone, found=before.undone.found + undone.found)
-    size = misfit(undone.problem, undone.samples, steps=FIRST_STEPS, start=undone.start)
-    yield _Attempt((*before.faults, fault), undone, size)
+    yield _Attempt((*before.faults, fault), replace(undone, found=before.undone.found + undone.found), math.inf)
+
+
+def _fitted(trial: _Attempt) -> _Attempt:
+    """An attempt with the misfit of a first look."""
+    undone = trial.undone
+    return replace(trial, size=misfit(undone.problem, undone.samples, steps=FIRST_STEPS, start=undone.start))
+
+
+def _one(fault: Fault, before: _Attempt) -> Iterator[_Attempt]:
+    """The attempt with one more fault undone; nothing where it cannot be undone."""
+    yield from map(_fitted, _undone(fault, before))
+
+
+def _of_makers(nothing: _Attempt) -> list[_Attempt]:
+    """Joint conventions of makers, each fitted to the end."""
+    faults = patterns(nothing.undone.problem, nothing.undone.samples)
+    return [_to_the_end(each) for fault in faults for each in _one(fault, nothing)]
+
+
+def _singles(faults: Sequence[Fault], nothing: _Attempt, near: float, most: float) -> list[_Attempt]:
+    """Every fault undone and fitted; where rows are `near` the drawn arm, or one brings them there, none far away."""
+    trials = [each for fault in faults for each in _undone(fault, nothing)]
+    as_they_are, *off = _off_the_drawing([nothing, *trials], nothing)
+    found = np.nanmin([as_they_are, *off, math.inf]) < near
+    return [trial if found and far > most else _fitted(trial) for trial, far in zip(trials, off, strict=True)]
+
+
+def _off_the_drawing(trials: Sequence[_Attempt], before: _Attempt) -> list[float]:
+    """Root mean square residual about the drawn arm, largest tenth left out; NaN where not only numbers of rows change.
+
+    A fit takes several times as long, and of an arm with a joint counted the wrong way it ends anywhere.
+    """
+    problem, samples = before.undone.problem, before.undone.samples
+    try:
+        bound = bind(problem, samples)
+    except CasacalError:
+        return [math.nan] * len(trials)
+
+    def off(undone: Undone) -> float:
+        rows = undone.samples
+        alike = undone.problem is problem and len(rows) == len(samples) and not problem.terms
+        if not alike or any(rows.labels[name] is not labels for name, labels in samples.labels.items()):
+            return math.nan
+        try:
+            return _trimmed(bound.drawn(rows))
+        except CasacalError:
+            return math.nan
+
+    return [off(trial.undone) for trial in trials]
+
+
+def _trimmed(residual: Array) -> float:
+    """Root mean square of residuals, the largest tenth left out."""
+    squares = np.sort(np.ravel(residual) ** 2)[: math.ceil(KEPT * residual.size)]
+    return math.sqrt(float(squares.mean()))
 
 
 def _looked_at_closely(tried: list[_Attempt]) -> list[_Attempt]:
     """The trials with the most promising ones fitted to the end, and the misfit of all others infinite."""
-    closer = {id(trial) for trial in sorted(tried, key=lambda trial: trial.size)[:PROMISING]}
+    finite = [trial for trial in tried if trial.size < math.inf]
+    closer = {id(trial) for trial in sorted(finite, key=lambda trial: trial.size)[:PROMISING]}
     return [_to_the_end(trial) if id(trial) in closer else replace(trial, size=math.inf) for trial in tried]
 
 
@@ -622,16 +696,21 @@ def _to_the_end(trial: _Attempt) -> _Attempt:
     return replace(trial, size=math.inf if says_nothing else size)
 
 
-def _pairs(tried: list[_Attempt], problem: Problem) -> list[_Attempt]:
-    """Pairs of faults: wrong units and signs, and the most promising ones, each with every common fault."""
+def _pairs(tried: list[_Attempt], problem: Problem, most: float) -> list[_Attempt]:
+    """Pairs of faults: wrong units and signs, and the most promising ones, each with every common fault.
+
+    Those whose rows lie farther off the drawn arm than `most`, mm, are not fitted.
+    """
     usual = {"unit of the joints", *(suspect.about for suspect in problem.instrument.suspects)}
     best = sorted(tried, key=lambda trial: trial.size)
     first = [trial for k, trial in enumerate(best) if k < PAIRED or trial.faults[0].about in usual]
     found: list[_Attempt] = []
     for trial in first:
-        for fault in suspected(trial.undone.problem, trial.undone.samples):
-            if fault.about != trial.faults[0].about and fault.common:
-                found += _one(fault, trial)
+        others = suspected(trial.undone.problem, trial.undone.samples)
+        common = (fault for fault in others if fault.common and fault.about != trial.faults[0].about)
+        both = [each for fault in common for each in _undone(fault, trial)]
+        off = _off_the_drawing(both, trial)
+        found += [_fitted(each) for each, far in zip(both, off, strict=True) if not far > most]
     return _looked_at_closely(found)
 
 

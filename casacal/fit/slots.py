@@ -134,6 +134,22 @@ class Slot(Value):
                 yield name, self.unknown.unit, float(nominal), free.get(name)
 
 
+def proposed_anew(slots: Sequence[Slot], problem: Problem, samples: Samples) -> tuple[Slot, ...]:
+    """Slots of a problem with one instrument, where other rows with the same labels propose those without a nominal.
+
+    Raises ProblemError where these rows, or this instrument, propose none.
+    """
+    instrument, sight, found = problem.instrument, nominal_sight(problem, 0, samples), dict[str, Array]()
+    for key, unknown in instrument.unknowns.items():
+        if unknown.nominal is None:
+            for label, rows in instances(instrument, key, unknown, samples):
+                nominal = _proposed(instrument, key, unknown, sight.of(rows))
+                if nominal is None:
+                    raise ProblemError(f"'{key}' has no nominal value", "Give it one")
+                found[key if label is None else f"{key}.{label}"] = nominal
+    return tuple(replace(slot, nominal=found[slot.name]) if slot.name in found else slot for slot in slots)
+
+
 def nominals(slots: Sequence[Slot]) -> dict[str, Array]:
     """Nominal values, by name, of unknowns that do not differ by label."""
     return {slot.name: slot.nominal for slot in slots if slot.label is None}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import reduce
 
@@ -19,7 +20,7 @@ from casacal.planning.clearance import Around, Clearance
 from casacal.simulation.cell import Cell, Disturbances
 from casacal.simulation.places import default_cell, refuse_cell
 from casacal.simulation.simulate import simulate, touched_rows
-from casacal.simulation.touches import Draw, TouchingArm, true_unknowns
+from casacal.simulation.touches import Draw, TouchingArm, drawn_arm
 from casacal.values import Array, Box
 
 ROUNDS = 20  # times that more touches are drawn where some do not keep clear
@@ -56,9 +57,17 @@ MOST_OF = 3  # pairs of a part and an obstacle that are named where hardly a tou
 
 
 def pool_of(
-    problem: Problem, cell: Disturbances | None, count: int, seed: int, clearance: Clearance | None = None
+    problem: Problem,
+    cell: Disturbances | None,
+    count: int,
+    seed: int,
+    clearance: Clearance | None = None,
+    *,
+    trial: int | None = None,
 ) -> Samples:
     """Touches that the arm as drawn could make, without any error, and keep clear of table, faces, boxes and itself.
+
+    trial: so many are sought before all, which soon says what is out of reach.
 
     Raises SimulationError where faces are out of reach or below the table, CasacalError where hardly a touch keeps
     clear.
@@ -71,38 +80,50 @@ def pool_of(
             )
             raise SimulationError(what, "Say where the table is: --table Z, or Cell(..., table=Z)")
     around = (clearance or Clearance()).around(problem.robot, still)
-    found, tried, in_way = list[Samples](), 0, dict[str, int]()
     rare: tuple[str, int] | None = None
-    probe, starts = problem.instrument.probe, _clear_postures(problem, around)
+    probe, rng = problem.instrument.probe, np.random.default_rng(0)
+    touch = None if probe is None else drawn_arm(problem, probe, rng)
+    starts = None if touch is None else _clear_postures(touch, around, rng)
     if probe is not None and isinstance(still, Cell):
         refuse_cell(problem, probe, still)
-    while (missing := count - sum(map(len, found))) > 0:
-        share = max((count - missing) / tried, RARE) if tried else 1.0
-        number = min(math.ceil(1.1 * missing / share), max(count, JUDGED))
-        draw = Draw(seed + 7919 * len(found))
-        if probe is not None and isinstance(still, Cell):
-            drawn, *_ = touched_rows(problem, probe, still, number, draw, starts)
+    for wanted in (count,) if trial is None else (trial, count):
+        found, tried, in_way = list[Samples](), 0, dict[str, int]()
+        while (missing := wanted - sum(map(len, found))) > 0:
+            share = max((wanted - missing) / tried, RARE) if tried else 1.0
+            number = min(math.ceil(1.1 * missing / share), max(wanted, JUDGED))
+            draw = Draw(seed + 7919 * len(found))
+            if probe is not None and isinstance(still, Cell):
+                drawn, *_ = touched_rows(problem, probe, still, number, draw, starts, touch)
+            else:
+                drawn = simulate(problem, still, samples=number, seed=draw.seed).samples
+            tried += number
+            tips, clear = nominal_tips(problem, 0, drawn), np.ones(number, dtype=bool)
+            for part, other, rows in around.collisions(drawn.joints, tips):
+                clear &= ~rows
+                in_way[f"{part} against {other}"] = in_way.get(f"{part} against {other}", 0) + int(rows.sum())
+            found.append(drawn.take(np.flatnonzero(clear)))
+            if len(found) == ROUNDS or (tried >= JUDGED and sum(map(len, found)) < RARE * tried):
+                break
         else:
-            drawn = simulate(problem, still, samples=number, seed=draw.seed).samples
-        tried += number
-        tips, clear = nominal_tips(problem, 0, drawn), np.ones(number, dtype=bool)
-        for part, other, rows in around.collisions(drawn.joints, tips):
-            clear &= ~rows
-            in_way[f"{part} against {other}"] = in_way.get(f"{part} against {other}", 0) + int(rows.sum())
-        found.append(drawn.take(np.flatnonzero(clear)))
-        if len(found) == ROUNDS or (tried >= JUDGED and sum(map(len, found)) < RARE * tried):
-            break
-    else:
-        pool = reduce(joined, found).take(range(count))
-        rare = _rare_face(pool, still, probe)
-        if rare is None:
-            return pool
-    worst = sorted(in_way.items(), key=lambda each: -each[1])[:MOST_OF]
-    named = ", ".join(f"{words} ({hits / tried:.0%})" for words, hits in worst if hits)
+            pool = reduce(joined, found).take(range(wanted))
+            rare = _rare_face(pool, still, probe)
+            if rare is None and wanted == count:
+                return pool
+            if rare is None:
+                continue
+        break
     few, of_it = (sum(map(len, found)), "") if rare is None else (rare[1], f" of face '{rare[0]}'")
     what = f"Only {few} of {tried} reachable touches{of_it} keep clear above the table at z = {still.table:g} mm"
-    what += f". In the way: {named}"
-    raise CasacalError(what, "Move the faces, make --keep-out or --link-radius smaller, or say where --table is")
+    raise CasacalError(f"{what}. In the way: {_worst(in_way, tried)}", CLEAR_IT)
+
+
+CLEAR_IT = "Move the faces, make --keep-out or --link-radius smaller, or say where --table is"
+
+
+def _worst(in_way: Mapping[str, int], tried: int) -> str:
+    """The pairs that are most often in the way, each with its part of the touches that were tried."""
+    worst = sorted(in_way.items(), key=lambda each: -each[1])[:MOST_OF]
+    return ", ".join(f"{words} ({hits / tried:.0%})" for words, hits in worst if hits)
 
 
 def _rare_face(pool: Samples, cell: Disturbances, probe: Probe | None) -> tuple[str, int] | None:
@@ -115,13 +136,9 @@ def _rare_face(pool: Samples, cell: Disturbances, probe: Probe | None) -> tuple[
     return (label, counts[label]) if enough and counts[label] < PLACES_A_FACE else None
 
 
-def _clear_postures(problem: Problem, around: Around) -> Array | None:
-    """Random postures (M, n; rad, mm) that keep clear; None where they are few, or nothing is touched."""
-    probe, rng = problem.instrument.probe, np.random.default_rng(0)
-    if probe is None:
-        return None
-    arm = TouchingArm.of(problem.robot, problem.instrument, probe, true_unknowns(problem, probe, 0.0, rng))
-    joints = random_joints(problem.robot, LIBRARY, rng)
+def _clear_postures(arm: TouchingArm, around: Around, rng: np.random.Generator) -> Array | None:
+    """Random postures (M, n; rad, mm) that keep clear; None where they are few."""
+    joints = random_joints(arm.robot, LIBRARY, rng)
     tips, _ = arm.place(arm.local, joints, np.zeros((len(joints), 1)))
     clear = around.clear(joints, tips)
     return joints[clear] if clear.sum() >= RARE * LIBRARY else None

@@ -72,8 +72,7 @@ def set_ups(
     found = list[SetUp]()
     for words, option, other, place in _ways(problem.without_terms, still):
         try:
-            pool_of(other, place, FEW * len(place.faces), seed, clearance)  # soon says what is out of reach
-            bound = bind(other, pool_of(other, place, POOL, seed, clearance))
+            bound = bind(other, pool_of(other, place, POOL, seed, clearance, trial=FEW * len(place.faces)))
             choice = Choice.of(bound, wanted_joints(bound, box, targets))
             error = choice.error(choice.best_of(touches, 1, np.random.default_rng(seed)))
         except CasacalError:  # out of reach

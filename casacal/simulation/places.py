@@ -16,7 +16,7 @@ from casacal.model.problem import Problem
 from casacal.model.robot import random_joints
 from casacal.model.unknown import tangent_basis, unit_vector
 from casacal.simulation.cell import OF_DIALS, PLATE, Cell, Face, corner, triple
-from casacal.simulation.touches import TouchingArm, true_unknowns, try_touches
+from casacal.simulation.touches import drawn_arm, try_touches
 from casacal.values import Array, Box
 
 SLOPE = math.radians(15.0)  # inclination of facets against the plunger of an arm that cannot tilt it
@@ -37,7 +37,8 @@ def refuse_cell(problem: Problem, probe: Probe, cell: Cell) -> None:
         fix = f"Name one of its faces: {', '.join(labels)}; or add that face to the cell"
         if on not in labels:
             raise SimulationError(f"Step '{step}' is on '{on}', which is no face of the cell", fix)
-        if step not in labels and tuple(cell.faces) != tuple(default_cell(problem).faces):
+        of_default = len(labels) == (1 if probe.label is None else 3)
+        if step not in labels and not (of_default and cell.faces == default_cell(problem).faces):
             raise SimulationError(f"Step '{step}' is no face of the cell", fix)
     if len(labels) > 1 and probe.label is None:
         fix = 'Declare plane=Plane(per="plane")'
@@ -63,8 +64,7 @@ def default_cell(problem: Problem, *, table: float = 0.0, keep_out: tuple[Box, .
             f"{type(problem.instrument).__name__} touches no faces, so no place for them is looked for",
             "Simulate it without a cell",
         )
-    nominal = true_unknowns(problem, probe, 0.0, rng)
-    touch = TouchingArm.of(problem.robot, problem.instrument, probe, nominal)
+    touch = drawn_arm(problem, probe, rng)
     tips, plungers = touch(random_joints(problem.robot, 400, rng), np.zeros(400))[:2]
     base = np.median(tips, axis=0)
     reach = float(np.quantile(np.linalg.norm(tips - base, axis=1), 0.9))

@@ -180,28 +180,29 @@ class _Contact:
 
 
 def touched_rows(
-    problem: Problem, probe: Probe, cell: Cell, samples: int | Samples, draw: Draw, poses: Array | None = None
+    problem: Problem,
+    probe: Probe,
+    cell: Cell,
+    samples: int | Samples,
+    draw: Draw,
+    poses: Array | None = None,
+    touch: TouchingArm | None = None,
 ) -> tuple[Samples, dict[str, Array], ArmErrors, DialErrors]:
     """Samples of touches, the true local coordinates by name, and the errors of arm and dial that were drawn.
 
     samples: how many, or the postures in which to touch; those in which the true arm cannot are left out. poses:
-    (K, n; rad, mm) from which postures are sought; by default random ones.
+    (K, n; rad, mm) from which postures are sought; by default random ones. touch: the true arm, where it is known.
     """
     truth_rng, pose_rng, noise_rng, form_rng, gear_rng, dial_rng, way_rng = draw.streams(7, of_the_arm=(0, 3, 4))
     local = draw.true(true_unknowns(problem, probe, cell.error_scale, truth_rng))
-    touch = TouchingArm.of(problem.robot, problem.instrument, probe, local)
+    touch = touch or TouchingArm.of(problem.robot, problem.instrument, probe, local)
     postures = samples if isinstance(samples, Samples) else None
     if isinstance(samples, Samples):
         cell, plan = replace(cell, repeats=1), SessionPlan.at(samples, probe.label, cell.faces)
     else:
         plan = SessionPlan.of(samples, len(cell.faces), cell.repeats)
     count = len(plan.which)
-    noise = probe.noise_std if cell.repeatability is None else cell.repeatability
-    outlier = gross_errors(cell, count, noise_rng)
-    # errors of touch and form raise the face under the tip; a dial's own errors come on top of its reading
-    lift = noise_rng.normal(size=count) * (noise if probe.column is None else probe.contact_std)
-    if probe.column is None:
-        lift = lift + outlier
+    noise, outlier, lift = _touch_errors(probe, cell, count, noise_rng)
     arm = ArmErrors(thermal=cell.thermal, waves=drawn_waves(problem.robot, cell.waves, gear_rng))
     forms = [int(form_rng.integers(2**32)) if cell.flatness > 0 else None for _ in cell.faces]
     contact = _Contact(touch, probe, cell, plan, lift, forms, arm.growth(plan.when))
@@ -233,6 +234,17 @@ def touched_rows(
     file = draw.name if postures is None else postures.file
     rows = Samples(recorded, columns, labels, tuple(range(1, count + 1)), {}, file, draw.name)
     return rows if met.all() else rows.take(np.flatnonzero(met)), local, arm, dial
+
+
+def _touch_errors(probe: Probe, cell: Cell, count: int, rng: np.random.Generator) -> tuple[float, Array, Array]:
+    """Noise of a touch, mm, gross errors (N,), and by how much each touch stands above its face (N,).
+
+    Errors of touch raise the face under the tip; a dial's own errors come on top of its reading.
+    """
+    noise = probe.noise_std if cell.repeatability is None else cell.repeatability
+    outlier = gross_errors(cell, count, rng)
+    lift = rng.normal(size=count) * (noise if probe.column is None else probe.contact_std)
+    return noise, outlier, lift + outlier if probe.column is None else lift
 
 
 def _labels(problem: Problem, probe: Probe, cell: Cell, plan: SessionPlan) -> dict[str, Labels]:

@@ -353,7 +353,7 @@ def test_what_is_written_fits_the_schema_that_is_printed(made, capsys):
 
 
 @pytest.mark.long_unless("few")
-@pytest.mark.parametrize("rounds", [pytest.param(20, id="few"), pytest.param(300, id="many")])
+@pytest.mark.parametrize("rounds", [pytest.param(20, id="few"), pytest.param(120, id="many")])
 def test_damage_is_found_where_another_validator_finds_it(made, rounds):
     document = json.loads((made / "dh" / "out" / "result.json").read_text())
     schema, rng, damaged = json.loads(schema_text()), random.Random(1), 0

@@ -49,7 +49,7 @@ def test_the_effect_is_the_geometry_at_other_joints(name):
     assert np.abs(whole.plain_residual(x) - bare.plain_residual(bare.x0)).max() > 0.03
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long), pytest.param(3, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_wrist_that_is_coupled_is_promised_no_more_than_it_keeps(seed):
     """Without the effect 0.094 mm were promised on average, 0.207 true, and 63 % of the intervals held."""
     part, ur5 = 1e-4, load_problem(PROBLEMS / "ur5")

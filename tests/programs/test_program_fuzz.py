@@ -96,7 +96,7 @@ def test_damaged_programs_are_corrected_as_far_as_they_are_understood(language, 
 
 @pytest.mark.long
 @pytest.mark.parametrize("language", list(ENDINGS))
-def test_7500_damaged_programs(language, tmp_path):
+def test_2000_damaged_programs(language, tmp_path):
     arm = arm_of(language, changes_of(2))
-    for number in range(1500):
+    for number in range(400):
         one(language, 5000 + number, tmp_path, arm if number % 100 == 0 else None)
