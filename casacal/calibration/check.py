@@ -24,8 +24,9 @@ from casacal.calibration.before_fit import (
     sign_before_fit,
     upside_down,
 )
+from casacal.calibration.cause import MisfitCause, cause_of_rows, explained
 from casacal.calibration.conventions import CONVENTIONS
-from casacal.calibration.faults import ALIKE, EXPLAINED, MOVED, SUSPICIOUS, MisfitCause, cause_of_rows, explained, flips
+from casacal.calibration.faults import ALIKE, EXPLAINED, MOVED, SUSPICIOUS, flips
 from casacal.calibration.finding import Finding, misfit, quick_fit, size_of
 from casacal.calibration.midway import changed_midway, labels_exchanged
 from casacal.calibration.mirror import mirror_image

@@ -1,21 +1,19 @@
-"""Mistakes people make in samples and problem file; the cause of a misfit is found by undoing each."""
+"""Mistakes people make in samples and problem file, each with what undoes it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import chain, combinations, permutations
 
 import numpy as np
 
-from casacal.calibration.conventions import in_problem, patterns
+from casacal.calibration.conventions import in_problem
 from casacal.calibration.finding import (
     FIRST_STEPS,
-    KEPT,
     Fault,
-    Finding,
     Undo,
     Undone,
     freed_of_unknowns,
@@ -23,21 +21,18 @@ from casacal.calibration.finding import (
     quick_fit,
     weighted,
 )
-from casacal.calibration.numbers import TOOL, alike_numbers, numbers, tool_keys
-from casacal.calibration.set_aside import robust_fit, studentised_outliers
+from casacal.calibration.numbers import numbers, tool_keys
 from casacal.data.columns import Labels
 from casacal.data.samples import Samples
-from casacal.errors import CasacalError
-from casacal.fit.bound_problem import BoundProblem, bind
+from casacal.fit.bound_problem import BoundProblem
 from casacal.fit.least_squares import Result
 from casacal.fit.slots import ENOUGH
 from casacal.model.instrument import ANGLE_UNITS, UNIT_MISTAKES, Suspect, readings_within
 from casacal.model.joints import Conventions
 from casacal.model.problem import Problem
 from casacal.model.problem_text import conventions_line
-from casacal.uncertainty.moves import prior_scatter
-from casacal.values import Array, Index, Rows
-from casacal.wording import figures, numbered_lines, times
+from casacal.values import Array, Index
+from casacal.wording import figures, numbered_lines
 
 MOVED = "something moved"
 MOST_SCALE = 0.2  # part by which readings are too large beyond which it is no error of scale
@@ -50,7 +45,6 @@ PLACES = 12
 MOST_SHIFTS, WORTH = 3, 0.8  # shifts that are looked for; part of the misfit that a further one may leave
 
 MOST_PAIRED = 1200  # rows beyond which it takes too long to look where they slipped
-FEW_OFF, MOSTLY = 3, 0.5  # rows, and part of those from the first on, that lie off where readings slipped
 SURELY_OFF = 10.0  # times the median residual beyond which a row is off, however far
 FEWEST = 5  # rows that a face needs on either side of such a place to have a plane there
 HANGS = 6  # rows one after another in which a joint that moves elsewhere shows one value, before it is said to hang
@@ -59,15 +53,8 @@ DOCTOR = "Run casacal doctor on rows of the pendant, and write the coupling into
 MOST_FACES = 12  # faces beyond which their labels are not exchanged two by two
 MOST_SESSIONS = 6  # labels of a column beyond which units are not looked for one by one
 SUSPICIOUS = 2.0  # misfit, in stated standard deviations, above which something systematic is looked for
-BETTER = 0.25  # an undone fault must shrink the misfit to this part to be believed
 EXPLAINED = 50.0  # misfit that noise and effects leave at most; what leaves more explains nothing
-CHANCE = 1.3  # a misfit of this size is chance: whatever leaves no more explains it all
 ALIKE = 1.5  # within this factor a fault and its absence cannot be told apart
-PROMISING = 12  # faults, or pairs of them, that a first look finds best and that are fitted to the end
-NEAR, FAR = 3.0, 10.0  # times the scatter of arms as drawn that rows may have: with the cause undone, and ever
-OF_BASE = 0.2  # part of the scatter of the rows as they are, up to which a pair of faults is fitted however it scatters
-PAIRED = 3  # single faults, beside the usual ones, that are tried together with others
-RIVALS = 3  # faults that would explain it equally well and are named
 
 
 def tool_elsewhere(problem: Problem, samples: Samples) -> Undone:
@@ -215,7 +202,7 @@ def _turned_back(samples: Samples, size: float, *, joint: int, place: int) -> Sa
     return replace(samples, joints=joints)
 
 
-def _hanging(samples: Samples) -> Iterator[Fault]:
+def hanging(samples: Samples) -> Iterator[Fault]:
     """Joints that show one and the same value over many rows, as of an encoder or a recorder that hangs."""
     for i, values in enumerate(samples.joints.T):
         starts = np.flatnonzero(np.concatenate([[True], np.diff(values) != 0]))
@@ -333,7 +320,7 @@ def _columns_and_joints(problem: Problem) -> Iterator[Fault]:
             yield Fault(f"joints {i + 1} and {j + 1} swapped", cause, fix, _turned(order))
 
 
-def _some_radians(problem: Problem, whole: Samples) -> Iterator[Fault]:
+def some_radians(problem: Problem, whole: Samples) -> Iterator[Fault]:
     """Rows whose angles are all so small that they may be radians among rows of degrees."""
     turns = problem.robot.revolute
     small = np.all(np.abs(whole.joints[:, turns]) <= math.radians(2 * math.pi), axis=1)
@@ -407,7 +394,7 @@ def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
         yield Fault("dial set to zero anew", cause, fix, partial(zero_moved, column=probe.column), 2, False)
     fix = "Master that joint, and measure the later rows again"
     yield Fault("joint slipped", "the encoder of a joint seems to have slipped", fix, joint_slipped, 8, False)
-    yield from _hanging(samples)
+    yield from hanging(samples)
     if problem.instrument.groups is not None:
         fix = "Fasten base, tool and faces, and measure again, or give the faces other labels from there on"
         yield Fault(MOVED, "base, tool or faces seem to have moved", fix, somewhere_moved, 9, False)
@@ -535,205 +522,3 @@ def _turned(matrix: Array, shift: Array | float = 0.0) -> Undo:
 def _of_rows(change: Callable[[Samples], Samples]) -> Undo:
     """What undoes a fault of the rows alone."""
     return lambda problem, samples: Undone(problem, change(samples))
-
-
-@dataclass(frozen=True)
-class MisfitCause:
-    """Cause of a misfit as a finding, and problem and samples with it undone."""
-
-    finding: Finding
-    undone: Undone
-
-
-@dataclass(frozen=True)
-class _Attempt:
-    """Faults that were undone one after the other, and what came of it."""
-
-    faults: tuple[Fault, ...]
-    undone: Undone
-    size: float  # the misfit that is left
-
-    @property
-    def freedom(self) -> int:
-        return sum(fault.freedom for fault in self.faults)
-
-
-def explained(
-    problem: Problem, samples: Samples, base: float, *, gross: bool = True, whole: Samples | None = None
-) -> MisfitCause | None:
-    """The simplest cause of a misfit: one suspected fault, else two together; None where none explains it.
-
-    problem: with one instrument. samples: its rows, some hundred. base: their misfit as they are. gross: whether it is
-    so large that two mistakes at once are looked for. whole: all rows in their order, where samples are some of them.
-    """
-    nothing = _Attempt((), Undone(problem, samples), 0.0)
-    whole = samples if whole is None or len(whole) > MOST_PAIRED else whole
-    faults = [*chain(suspected(problem, samples), pairings(whole), _some_radians(problem, whole))]
-    drawn = bind(problem, samples)
-    usual, off = prior_scatter(drawn, flat_counts=True).rms, _trimmed(drawn.plain_residual(drawn.x0))
-    near, most = NEAR * usual, max(FAR * usual, OF_BASE * off)
-    tried = _looked_at_closely(plain := _singles([fault for fault in faults if not fault.freedom], nothing, near, most))
-    makers: list[_Attempt] | None = None
-    if base > EXPLAINED:  # more than any arm errs: what then leaves no more than chance is the cause
-        if (best := _simplest(tried)) is not None and best.size <= CHANCE:
-            return _misfit_cause(best, base, tried, [])
-        if gross:
-            makers = _of_makers(nothing)
-            if (best := _simplest(makers)) is not None and best.size <= CHANCE:
-                return _misfit_cause(best, base, makers, [])
-    tried = _looked_at_closely([*plain, *_singles([fault for fault in faults if fault.freedom], nothing, near, most)])
-    best = _simplest(tried)
-    left = math.inf if best is None else best.size
-    if left > max(min(BETTER * base, EXPLAINED), SUSPICIOUS) and gross:
-        makers = _of_makers(nothing) if makers is None else makers
-        maker = _simplest(makers)
-        if maker is not None and maker.size < min(BETTER * min(left, base), EXPLAINED):
-            return _misfit_cause(maker, base, makers, [])
-        pairs = _pairs(tried, problem, most)
-        both = _simplest(pairs)
-        if both is not None and both.size < min(BETTER * min(left, base), EXPLAINED):
-            return _misfit_cause(both, base, pairs, [])
-    if best is None or left > max(min(BETTER * base, EXPLAINED), CHANCE):
-        return None
-    tool = [fault.about for fault in best.faults] == [TOOL]
-    alike = alike_numbers(bind(problem, samples), tool_keys(problem)) if tool else ()
-    return _misfit_cause(best, base, tried, [f"{name} elsewhere" for name in alike])
-
-
-def cause_of_rows(problem: Problem, samples: Samples, off: Rows) -> Finding | None:
-    """What rows that lie off (N,) have in common: a slip by a row, their unit, or a joint that hangs."""
-    tail = off.sum() >= FEW_OFF and off[int(np.argmax(off)) :].mean() >= MOSTLY
-    nothing = _Attempt((), Undone(problem, samples), 0.0)
-    rows = chain(_some_radians(problem, samples), _hanging(samples)) if off.any() else ()
-    for fault in chain(pairings(samples) if tail else (), rows):
-        for tried in _one(fault, nothing):
-            fitted = robust_fit(bind(problem, tried.undone.samples))
-            if tried.size <= SUSPICIOUS and (fitted is None or not studentised_outliers(*fitted).rows):
-                cause = f"{fault.cause}{tried.undone.found}: with that undone, no row lies off any more"
-                return Finding("error", fault.about, cause, fault.fix)
-    return None
-
-
-def _undone(fault: Fault, before: _Attempt) -> Iterator[_Attempt]:
-    """The attempt with one more fault undone, not fitted yet; nothing where it cannot be undone."""
-    try:
-        undone = fault.undo(before.undone.problem, before.undone.samples)
-    except CasacalError:  # such as a tool of an instrument that holds it
-        return
-    yield _Attempt((*before.faults, fault), replace(undone, found=before.undone.found + undone.found), math.inf)
-
-
-def _fitted(trial: _Attempt) -> _Attempt:
-    """An attempt with the misfit of a first look."""
-    undone = trial.undone
-    return replace(trial, size=misfit(undone.problem, undone.samples, steps=FIRST_STEPS, start=undone.start))
-
-
-def _one(fault: Fault, before: _Attempt) -> Iterator[_Attempt]:
-    """The attempt with one more fault undone; nothing where it cannot be undone."""
-    yield from map(_fitted, _undone(fault, before))
-
-
-def _of_makers(nothing: _Attempt) -> list[_Attempt]:
-    """Joint conventions of makers, each fitted to the end."""
-    faults = patterns(nothing.undone.problem, nothing.undone.samples)
-    return [_to_the_end(each) for fault in faults for each in _one(fault, nothing)]
-
-
-def _singles(faults: Sequence[Fault], nothing: _Attempt, near: float, most: float) -> list[_Attempt]:
-    """Every fault undone and fitted; where rows are `near` the drawn arm, or one brings them there, none far away."""
-    trials = [each for fault in faults for each in _undone(fault, nothing)]
-    as_they_are, *off = _off_the_drawing([nothing, *trials], nothing)
-    found = np.nanmin([as_they_are, *off, math.inf]) < near
-    return [trial if found and far > most else _fitted(trial) for trial, far in zip(trials, off, strict=True)]
-
-
-def _off_the_drawing(trials: Sequence[_Attempt], before: _Attempt) -> list[float]:
-    """Root mean square residual about the drawn arm, largest tenth left out; NaN where not only numbers of rows change.
-
-    A fit takes several times as long, and of an arm with a joint counted the wrong way it ends anywhere.
-    """
-    problem, samples = before.undone.problem, before.undone.samples
-    try:
-        bound = bind(problem, samples)
-    except CasacalError:
-        return [math.nan] * len(trials)
-
-    def off(undone: Undone) -> float:
-        rows = undone.samples
-        alike = undone.problem is problem and len(rows) == len(samples) and not problem.terms
-        if not alike or any(rows.labels[name] is not labels for name, labels in samples.labels.items()):
-            return math.nan
-        try:
-            return _trimmed(bound.drawn(rows))
-        except CasacalError:
-            return math.nan
-
-    return [off(trial.undone) for trial in trials]
-
-
-def _trimmed(residual: Array) -> float:
-    """Root mean square of residuals, the largest tenth left out."""
-    squares = np.sort(np.ravel(residual) ** 2)[: math.ceil(KEPT * residual.size)]
-    return math.sqrt(float(squares.mean()))
-
-
-def _looked_at_closely(tried: list[_Attempt]) -> list[_Attempt]:
-    """The trials with the most promising ones fitted to the end, and the misfit of all others infinite."""
-    finite = [trial for trial in tried if trial.size < math.inf]
-    closer = {id(trial) for trial in sorted(finite, key=lambda trial: trial.size)[:PROMISING]}
-    return [_to_the_end(trial) if id(trial) in closer else replace(trial, size=math.inf) for trial in tried]
-
-
-def _to_the_end(trial: _Attempt) -> _Attempt:
-    """A trial with its final misfit: infinite where shuffled joint values would fit about as well."""
-    undone, samples = trial.undone, trial.undone.samples
-    size = misfit(undone.problem, samples, start=undone.start)
-    if size > EXPLAINED:
-        return replace(trial, size=size)
-    mixed = replace(samples, joints=np.random.default_rng(0).permuted(samples.joints, axis=0))
-    says_nothing = misfit(undone.problem, mixed, start=undone.start) * BETTER < max(size, SUSPICIOUS)
-    return replace(trial, size=math.inf if says_nothing else size)
-
-
-def _pairs(tried: list[_Attempt], problem: Problem, most: float) -> list[_Attempt]:
-    """Pairs of faults: wrong units and signs, and the most promising ones, each with every common fault.
-
-    Those whose rows lie farther off the drawn arm than `most`, mm, are not fitted.
-    """
-    usual = {"unit of the joints", *(suspect.about for suspect in problem.instrument.suspects)}
-    best = sorted(tried, key=lambda trial: trial.size)
-    first = [trial for k, trial in enumerate(best) if k < PAIRED or trial.faults[0].about in usual]
-    found: list[_Attempt] = []
-    for trial in first:
-        others = suspected(trial.undone.problem, trial.undone.samples)
-        common = (fault for fault in others if fault.common and fault.about != trial.faults[0].about)
-        both = [each for fault in common for each in _undone(fault, trial)]
-        off = _off_the_drawing(both, trial)
-        found += [_fitted(each) for each, far in zip(both, off, strict=True) if not far > most]
-    return _looked_at_closely(found)
-
-
-def _simplest(tried: list[_Attempt]) -> _Attempt | None:
-    """The trial of least freedom among those that explain about as well as the best; ties go to the first."""
-    least = min((trial.size for trial in tried), default=math.inf)
-    if least == math.inf:
-        return None
-    return min((trial for trial in tried if trial.size <= ALIKE * least), key=lambda trial: trial.freedom)
-
-
-def _misfit_cause(best: _Attempt, base: float, tried: list[_Attempt], alike: list[str]) -> MisfitCause:
-    """The best attempt as a cause; `alike`: further causes that the rows cannot tell from it."""
-    names = " and ".join(fault.about for fault in best.faults)
-    others = [" and ".join(fault.about for fault in trial.faults) for trial in tried if trial.size <= ALIKE * best.size]
-    rivals = [name for name in dict.fromkeys(others) if set(name.split(" and ")) != set(names.split(" and "))][:RIVALS]
-    rivals = [*dict.fromkeys([*alike, *rivals])]
-    also = f"; {', '.join(rivals)} would explain it equally well" if rivals else ""
-    causes = " and ".join(fault.cause for fault in best.faults)
-    undone = "with that undone" if len(best.faults) == 1 else "with both undone"
-    cause = (
-        f"{causes}{best.undone.found}: {undone}, the misfit falls from {times(base)} to {times(best.size)} times the "
-        f"stated noise{also}"
-    )
-    fix = ". ".join(fault.fix for fault in best.faults) + ("" if rivals else best.undone.offer)
-    return MisfitCause(Finding("error", names, cause, fix), best.undone)

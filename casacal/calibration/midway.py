@@ -11,7 +11,8 @@ from itertools import combinations
 
 import numpy as np
 
-from casacal.calibration.faults import MOST_FACES, SUSPICIOUS, exchanged, explained
+from casacal.calibration.cause import explained
+from casacal.calibration.faults import MOST_FACES, SUSPICIOUS, exchanged
 from casacal.calibration.finding import Finding, misfit
 from casacal.data.samples import Samples, joined
 from casacal.errors import CasacalError

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
@@ -113,7 +113,10 @@ def make_block(
     _check_stds(instrument, samples)
     row_slots, pattern = _patterns(problem, i, slots, samples)
     columns = np.array([[j for slot in row for j in slot.columns] for row in row_slots], dtype=np.intp)
-    columns, constants = columns.reshape(len(row_slots), model.residual.numel_in(0)), _constants(problem, i, row_slots)
+    index, none = [list(problem.symbols_of(i).unknowns).index(key) for key in model.constants], np.zeros(0)
+    constants = np.array([np.concatenate([none, *(row[j].nominal for j in index)]) for row in row_slots])
+    columns = columns.reshape(len(row_slots), model.residual.numel_in(0))
+    constants = constants.reshape(len(row_slots), model.residual.numel_in(1))
     of_rows = row_columns(problem, i, samples, survey, proposed_by(problem, i, nominals(slots)))
     elsewhere, site = dict.fromkeys(model.names, 0.0), problem.symbols_of(i).site
     for term in model.terms:
@@ -134,23 +137,6 @@ def make_block(
             "itself (contact_std, residual_std), or remove the row",
         )
     return block
-
-
-def drawn_residuals(problem: Problem, slots: Sequence[Slot], block: Block, samples: Samples) -> Array:
-    """Residuals (N, m) in their own unit at the nominal, of other rows with the labels of a problem's only block."""
-    named = {slot.name: slot for slot in slots}
-    constants = _constants(problem, 0, [[named[slot.name] for slot in row] for row in block.slots])
-    columns = tuple(row_columns(problem, 0, samples, None, proposed_by(problem, 0, nominals(slots))).values())
-    other = replace(block, samples=samples, constants=constants, row_columns=columns)
-    return other.at_nominal(block.model.columnwise("residual"))
-
-
-def _constants(problem: Problem, i: int, row_slots: Sequence[Sequence[Slot]]) -> Array:
-    """Constants c (patterns, nc) of the model of instrument `i`."""
-    model, none = problem.models[i], np.zeros(0)
-    index = [list(problem.symbols_of(i).unknowns).index(key) for key in model.constants]
-    found = np.array([np.concatenate([none, *(row[j].nominal for j in index)]) for row in row_slots])
-    return found.reshape(len(row_slots), model.residual.numel_in(1))
 
 
 def _check_stds(instrument: Instrument, samples: Samples) -> None:

@@ -13,11 +13,11 @@ import numpy as np
 from casacal.data.columns import Labels
 from casacal.data.samples import Measurements, Samples, sets_of
 from casacal.errors import ProblemError, SamplesError
-from casacal.fit.blocks import Block, drawn_residuals, make_block
+from casacal.fit.blocks import Block, make_block
 from casacal.fit.kernel_rows import FEW, KernelRows, RawGraph, constraint_set, stated_prior
 from casacal.fit.least_squares import DampedStep, ExtendedPass, FilterPass, Gaussian, LeastSquares, Normal
 from casacal.fit.nominal import surveys_of
-from casacal.fit.slots import Slot, make_slots, nominals, proposed_anew
+from casacal.fit.slots import Slot, make_slots, nominals
 from casacal.kernels.backend import VARIABLE
 from casacal.kernels.filter_passes import FilterRows
 from casacal.kernels.losses import Loss
@@ -92,8 +92,7 @@ def bind(
     for some in (sets := sets_of(samples)):
         if isinstance(some, Samples) and isinstance(problem, Problem):  # what is none, is refused below
             _refuse_absurd(some)
-            if problem.models[0].may_be_open:
-                refuse_open(problem.robot, some, problem.robot.traced.closed(some.joints))
+            refuse_open(problem.robot, some, problem.models[0].arm.closed(some.joints))
     slots = make_slots(problem, sets)
     bound = BoundProblem(problem, slots, sets, backend, threads, known=stated_prior(problem.constraints, slots))
     if bound.unknowns and not np.isfinite(bound.normal(bound.x0).gradient).all():
@@ -432,15 +431,6 @@ class BoundProblem(LeastSquares):
     def plain_residual(self, x: Array) -> Array:
         """Residuals (rows,) in their own unit, mm for a plane, before whitening."""
         return self._rows.residual(x)
-
-    def drawn(self, samples: Samples) -> Array:
-        """Residuals (N, m) in their own unit at the nominal, of other rows with the same labels, of one instrument.
-
-        What has no nominal is proposed by these rows. Far cheaper than to bind them. Raises ProblemError where they, or
-        the instrument, propose nothing.
-        """
-        slots = proposed_anew(self.slots, self.problem, samples)
-        return drawn_residuals(self.problem, slots, self.block, samples)
 
     def residual(self, x: Array) -> Array:
         """Whitened residuals (rows,) at x (n,)."""

@@ -65,7 +65,7 @@ def _check_rows(
     )
 
 
-def _proposed(instrument: Instrument, key: str, unknown: Unknown, sight: Sight) -> Array | None:
+def proposed(instrument: Instrument, key: str, unknown: Unknown, sight: Sight) -> Array | None:
     """Nominal value that an instrument proposes, None to search for it; raises ProblemError for an invalid one."""
     whose = f"`propose` of {type(instrument).__name__}"
     try:
@@ -134,22 +134,6 @@ class Slot(Value):
                 yield name, self.unknown.unit, float(nominal), free.get(name)
 
 
-def proposed_anew(slots: Sequence[Slot], problem: Problem, samples: Samples) -> tuple[Slot, ...]:
-    """Slots of a problem with one instrument, where other rows with the same labels propose those without a nominal.
-
-    Raises ProblemError where these rows, or this instrument, propose none.
-    """
-    instrument, sight, found = problem.instrument, nominal_sight(problem, 0, samples), dict[str, Array]()
-    for key, unknown in instrument.unknowns.items():
-        if unknown.nominal is None:
-            for label, rows in instances(instrument, key, unknown, samples):
-                nominal = _proposed(instrument, key, unknown, sight.of(rows))
-                if nominal is None:
-                    raise ProblemError(f"'{key}' has no nominal value", "Give it one")
-                found[key if label is None else f"{key}.{label}"] = nominal
-    return tuple(replace(slot, nominal=found[slot.name]) if slot.name in found else slot for slot in slots)
-
-
 def nominals(slots: Sequence[Slot]) -> dict[str, Array]:
     """Nominal values, by name, of unknowns that do not differ by label."""
     return {slot.name: slot.nominal for slot in slots if slot.label is None}
@@ -192,7 +176,7 @@ def make_slots(problem: Problem, samples: Sequence[Samples], known: Mapping[str,
                     if whole is None and len(samples[i]) <= ENOUGH:
                         whole = nominal_sight(problem, i, samples[i])
                     sight = nominal_sight(problem, i, samples[i].take(few)) if whole is None else whole.of(few)
-                    nominal = _proposed(instrument, key, unknown, sight)
+                    nominal = proposed(instrument, key, unknown, sight)
                 places.append(Place(name, key, unknown, rows, nominal))
                 add(full, unknown, label, np.zeros(0) if nominal is None else nominal, key in instrument.datum)
         if any(place.nominal is None for place in places):

@@ -14,7 +14,6 @@ from casacal.errors import ProblemError
 from casacal.kernels.backend import VARIABLE, row_kernels
 from casacal.kernels.block_rows import Batch, Columnwise, CurvatureKernel
 from casacal.kernels.filter_passes import Cubature
-from casacal.kernels.program import may_be_no_number
 from casacal.kernels.rows import Kernels
 from casacal.model.instrument import Instrument
 from casacal.model.kinematics import Expression, position
@@ -281,6 +280,7 @@ class RowModel:
         """Tip (3), mm."""
         self.pose = self._made("pose", traced.pose)
         """Flange pose (16), column by column."""
+        self.arm = traced.robot.traced
         plunger = traced.seen.plunger
         self.plunger = None if plunger is None else self._made("plunger", plunger)
         """Direction of the plunger (3) in the base frame; None for an instrument without one."""
@@ -291,11 +291,6 @@ class RowModel:
 
     def _made(self, name: str, *outputs: ca.SX) -> ca.Function:
         return row_function(name, [self._trace.z, self._trace.c, self._trace.d], list(outputs))
-
-    @cached_property
-    def may_be_open(self) -> bool:
-        """Whether the pose may be no number, as of a loop that does not close."""
-        return may_be_no_number(self.pose)
 
     @cached_property
     def joint_noise(self) -> ca.Function:

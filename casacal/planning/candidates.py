@@ -18,9 +18,9 @@ from casacal.model.problem import Problem
 from casacal.model.robot import random_joints
 from casacal.planning.clearance import Around, Clearance
 from casacal.simulation.cell import Cell, Disturbances
-from casacal.simulation.places import default_cell, refuse_cell
+from casacal.simulation.places import default_cell, drawn_arm, refuse_cell
 from casacal.simulation.simulate import simulate, touched_rows
-from casacal.simulation.touches import Draw, TouchingArm, drawn_arm
+from casacal.simulation.touches import Draw, TouchingArm
 from casacal.values import Array, Box
 
 ROUNDS = 20  # times that more touches are drawn where some do not keep clear

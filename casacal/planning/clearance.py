@@ -20,7 +20,7 @@ from casacal.model.instrument import Probe
 from casacal.model.problem import Problem
 from casacal.model.robot import Robot
 from casacal.simulation.cell import PLATE, Cell, Disturbances
-from casacal.simulation.touches import TouchingArm, drawn_arm
+from casacal.simulation.touches import TouchingArm, true_unknowns
 from casacal.values import Array, Box, Rows, Value, is_real
 
 
@@ -100,7 +100,8 @@ class Around:
 
 def drawn_touch(problem: Problem, probe: Probe, samples: Samples) -> tuple[TouchingArm, Array, Array, Array]:
     """The arm as drawn with its plunger, and of rows what it reads (N,), its tips and plungers (N, 3)."""
-    arm = drawn_arm(problem, probe, np.random.default_rng(0))
+    local = true_unknowns(problem, probe, 0.0, np.random.default_rng(0))
+    arm = TouchingArm.of(problem.robot, problem.instrument, probe, local)
     readings = np.zeros(len(samples)) if probe.column is None else samples.columns[probe.column]
     tips, plungers = arm.place(arm.local, samples.joints, readings[:, None])
     return arm, readings, tips, plungers

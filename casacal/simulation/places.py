@@ -16,7 +16,7 @@ from casacal.model.problem import Problem
 from casacal.model.robot import random_joints
 from casacal.model.unknown import tangent_basis, unit_vector
 from casacal.simulation.cell import OF_DIALS, PLATE, Cell, Face, corner, triple
-from casacal.simulation.touches import drawn_arm, try_touches
+from casacal.simulation.touches import TouchingArm, true_unknowns, try_touches
 from casacal.values import Array, Box
 
 SLOPE = math.radians(15.0)  # inclination of facets against the plunger of an arm that cannot tilt it
@@ -47,6 +47,11 @@ def refuse_cell(problem: Problem, probe: Probe, cell: Cell) -> None:
     if setting and probe.column is None:
         fix = "Leave it out, or declare reading=True"
         raise SimulationError(f"The cell has a {setting}, and the problem touches without a dial", fix)
+
+
+def drawn_arm(problem: Problem, probe: Probe, rng: np.random.Generator) -> TouchingArm:
+    """The plunger on the arm as drawn."""
+    return TouchingArm.of(problem.robot, problem.instrument, probe, true_unknowns(problem, probe, 0.0, rng))
 
 
 def default_cell(problem: Problem, *, table: float = 0.0, keep_out: tuple[Box, ...] = ()) -> Cell:

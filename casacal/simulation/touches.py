@@ -198,11 +198,6 @@ def true_unknowns(problem: Problem, probe: Probe, error_scale: float, rng: np.ra
     return {key: error_scale * u.start_stds * rng.normal(size=u.size) for key, u in unknowns.items()}
 
 
-def drawn_arm(problem: Problem, probe: Probe, rng: np.random.Generator) -> TouchingArm:
-    """The plunger on the arm as drawn."""
-    return TouchingArm.of(problem.robot, problem.instrument, probe, true_unknowns(problem, probe, 0.0, rng))
-
-
 @dataclass(frozen=True)
 class Draw:
     """Random draw: an arm by its seed, and one of the sessions in which it is measured.

@@ -6,9 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from casacal import DialOnPlane, Problem, calibrate, check, deg, load_problem, simulate, tool_point
-from casacal.calibration import faults as causes
-from casacal.calibration.faults import _Attempt, _looked_at_closely, _simplest, explained, tool_elsewhere
+from casacal import DialOnPlane, Problem, bind, calibrate, check, deg, load_problem, simulate, tool_point
+from casacal.calibration import cause as causes
+from casacal.calibration.cause import _Attempt, _looked_at_closely, _simplest, explained, residuals_as_drawn
+from casacal.calibration.faults import tool_elsewhere
 from casacal.calibration.finding import Fault, Undone, misfit
 from casacal.calibration.verdict import verdict_of
 from casacal.simulation.cell import Cell, Face
@@ -209,3 +210,16 @@ def test_beside_a_tool_elsewhere_the_flange_is_promised_nothing():
     assert verdict.level == "use with care"
     assert "at the flange" not in verdict.words
     assert any("--frame tip" in reason for reason in verdict.reasons)
+
+
+@pytest.mark.parametrize("name", ["ur5", "instruments/camera", "delta"])
+def test_rows_about_the_drawn_arm_are_those_of_a_problem_that_is_bound_anew(name):
+    source = load_problem(PROBLEMS / name)
+    rows = simulate(source.problem, source.cell, samples=40, seed=3).samples
+    joints = rows.joints.copy()
+    joints[:, 1] += 0.02
+    moved, bound = dataclasses.replace(rows, joints=joints), bind(source.problem, rows)
+    anew = bind(source.problem, moved)
+    expected = anew.plain_residual(anew.x0)
+    np.testing.assert_allclose(residuals_as_drawn(bound, moved).ravel(), expected, atol=1e-9)
+    assert np.abs(expected - bound.plain_residual(bound.x0)).max() > 0.1

@@ -8,8 +8,8 @@ from conftest import ROOT
 from oracles import dh_chain
 
 from casacal import Conventions, Robot, check, deg, load_problem
+from casacal.calibration.cause import explained
 from casacal.calibration.conventions import CONVENTIONS, in_problem, patterns, settings_of, tips_of
-from casacal.calibration.faults import explained
 from casacal.calibration.finding import misfit
 from casacal.model.axes import axes_of
 

@@ -11,7 +11,7 @@ from conftest import ROOT
 
 from casacal import DialOnPlane, Problem, Step, calibrate, check, load_problem, plan, simulate
 from casacal.calibration.before_fit import odd_labels, outside, tells_a_wrong_sign
-from casacal.calibration.faults import _Attempt, _to_the_end
+from casacal.calibration.cause import _Attempt, _to_the_end
 from casacal.calibration.finding import Fault, Undone, misfit
 from casacal.calibration.verdict import verdict_of
 from casacal.data.columns import Labels

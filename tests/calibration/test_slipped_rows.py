@@ -7,7 +7,8 @@ import pytest
 from conftest import ROOT
 
 from casacal import check, load_problem
-from casacal.calibration.faults import _slipped, cause_of_rows
+from casacal.calibration.cause import cause_of_rows
+from casacal.calibration.faults import _slipped
 
 
 def measured(name):

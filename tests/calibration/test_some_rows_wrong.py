@@ -8,7 +8,7 @@ import pytest
 from conftest import ROOT
 
 from casacal import Problem, calibrate, check, load_problem, simulate
-from casacal.calibration.faults import _some_radians
+from casacal.calibration.faults import some_radians
 
 
 def measured(name):
@@ -74,11 +74,11 @@ def test_only_what_one_turn_in_radians_may_be_is_taken_for_radians():
     problem, samples = measured("hsr_jr680")
     joints = samples.joints.copy()
     joints[:3] = np.radians([[6.2] * 6, [-6.3] * 6, [10.0] * 6])
-    (fault,) = _some_radians(problem, replace(samples, joints=joints))
+    (fault,) = some_radians(problem, replace(samples, joints=joints))
     assert f"angles of line {samples.lines[0]} look" in fault.cause
     undone = fault.undo(problem, samples).samples.joints
     np.testing.assert_allclose(undone, np.vstack([np.full(6, 6.2), joints[1:]]))
-    assert list(_some_radians(problem, samples)) == []
+    assert list(some_radians(problem, samples)) == []
 
 
 @pytest.mark.parametrize("name", ["instruments/tracker", "hsr_jr680", "adept_cobra600"])
