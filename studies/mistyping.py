@@ -37,7 +37,7 @@ SESSIONS, WRONG, TOLERANCE, GROSS = 500, 0.05, 1.4, 5.0
 """Sessions; part of touches that are typed wrong; mm; standard deviations of what was to be expected."""
 
 KINDS = ("sign", "digit", "face", "revolution")
-PATIENCE = 120.0
+PATIENCE, MOST_TURNS = 120.0, 1000
 """Seconds without a word."""
 
 
@@ -186,9 +186,13 @@ def held(world: World, problem: str, rng: np.random.Generator, folder: Path) -> 
     operator = Operator(world, rng)
     usual = ("--plan", str(folder / "plan.csv"), "--out", str(folder / "samples.csv"))
     terminal = Terminal(str(PROBLEMS / problem), *usual, "--tolerance", f"{TOLERANCE:g}")
-    number, over = 0, False
+    number, over, turns = 0, False, 0
     while not over:
         said, over = terminal.heard()
+        turns += 1
+        if turns > MOST_TURNS:
+            terminal.process.kill()
+            raise RuntimeError(f"casacal measure goes on asking after {MOST_TURNS} answers, at last: {said[-300:]}")
         if number and "outside the dial's range" in said:
             operator.refused(number)
         elif number and (std := expected(said)) is not None:
@@ -196,7 +200,7 @@ def held(world: World, problem: str, rng: np.random.Generator, folder: Path) -> 
         if over:
             operator.counts["met"] = "within the tolerance" in said and "not within" not in said
             break
-        if "warning:" in said:
+        if "Waiting for an answer" in said:
             part, number = said[said.rindex("warning:") :], 0
             pairs = re.findall(r"\d\. touch (\d+)(?: \(number (\d+) of the plan\))?:", part)
             terminal.type(operator.answer([(int(place), int(plan_number or place)) for place, plan_number in pairs]))

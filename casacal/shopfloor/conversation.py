@@ -269,7 +269,7 @@ def out_of_travel(session: Session, touch: Touch) -> str | None:
         return None
     crushed = pressed + spread > room
     what = "do not drive there" if crushed else "the tip would not touch there"
-    way = "stand off" if crushed else "go nearer"
+    way = "stand off first, then approach" if crushed else "go nearer"
     return (
         f"{what}: the dial would read {reading:.2f} mm, give or take {figures(spread, 2)} mm, beyond its travel of "
         f"{low:g} to {high:g} mm; {way} along the plunger until it reads about {touch.columns[probe.column]:.2f} mm, "
