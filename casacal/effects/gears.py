@@ -104,7 +104,7 @@ class JointCoupling(Effect):
     """
 
     size: float = 40e-6
-    doubt: float = 2.0
+    doubt: float = 2.5
 
     moves = True
     most = 25.0  # beyond a thousandth a coupling was left out of the controller, or of the problem
