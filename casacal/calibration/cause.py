@@ -20,6 +20,7 @@ from casacal.calibration.faults import (
     EXPLAINED,
     MOST_PAIRED,
     SUSPICIOUS,
+    OfRows,
     hanging,
     pairings,
     some_radians,
@@ -83,7 +84,8 @@ def explained(
     drawn = bind(problem, samples)
     usual, off = prior_scatter(drawn, flat_counts=True).rms, _trimmed(drawn.plain_residual(drawn.x0))
     near, most = NEAR * usual, max(FAR * usual, OF_BASE * off)
-    tried = _looked_at_closely(plain := _singles([fault for fault in faults if not fault.freedom], nothing, near, most))
+    at_once = [fault for fault in faults if isinstance(fault.undo, OfRows)]
+    tried = _looked_at_closely(plain := _singles(at_once, nothing, near, most))
     makers: list[_Attempt] | None = None
     if base > EXPLAINED:  # more than any arm errs: what then leaves no more than chance is the cause
         if (best := _simplest(tried)) is not None and best.size <= CHANCE:
@@ -92,7 +94,8 @@ def explained(
             makers = _of_makers(nothing)
             if (best := _simplest(makers)) is not None and best.size <= CHANCE:
                 return _misfit_cause(best, base, makers, [])
-    tried = _looked_at_closely([*plain, *_singles([fault for fault in faults if fault.freedom], nothing, near, most)])
+    sought = _singles([fault for fault in faults if not isinstance(fault.undo, OfRows)], nothing, near, most)
+    tried = _looked_at_closely([*plain, *sought])
     best = _simplest(tried)
     left = math.inf if best is None else best.size
     if left > max(min(BETTER * base, EXPLAINED), SUSPICIOUS) and gross:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, combinations, permutations
 
@@ -55,6 +55,17 @@ MOST_SESSIONS = 6  # labels of a column beyond which units are not looked for on
 SUSPICIOUS = 2.0  # misfit, in stated standard deviations, above which something systematic is looked for
 EXPLAINED = 50.0  # misfit that noise and effects leave at most; what leaves more explains nothing
 ALIKE = 1.5  # within this factor a fault and its absence cannot be told apart
+
+
+@dataclass(frozen=True)
+class OfRows:
+    """What undoes a fault of the rows alone, at once: nothing is fitted for it."""
+
+    change: Callable[[Samples], Samples]
+
+    def __call__(self, problem: Problem, samples: Samples) -> Undone:
+        """The problem as it is, and the rows without the fault."""
+        return Undone(problem, self.change(samples))
 
 
 def tool_elsewhere(problem: Problem, samples: Samples) -> Undone:
@@ -214,7 +225,7 @@ def hanging(samples: Samples) -> Iterator[Fault]:
         lines = numbered_lines([samples.lines[k] for k in np.flatnonzero(still).tolist()])
         cause = f"joint {i + 1} shows one and the same value up to {lines}, as of an encoder or a recorder that hangs"
         kept, fix = np.flatnonzero(~still), "Measure these rows again"
-        yield Fault(f"joint {i + 1} stuck", cause, fix, _of_rows(partial(_only, kept=kept)), 1, common=False)
+        yield Fault(f"joint {i + 1} stuck", cause, fix, OfRows(partial(_only, kept=kept)), 1, common=False)
 
 
 def _only(samples: Samples, *, kept: Index) -> Samples:
@@ -284,7 +295,7 @@ def _places(problem: Problem, samples: Samples) -> Iterator[Fault]:
         lines = numbered_lines([samples.lines[k] for k in np.flatnonzero(again).tolist()])
         cause = f"{lines} hold the same place as others to the last digit, as of a target that was lost"
         kept, fix = np.flatnonzero(~again), "Remove these lines, or measure them again"
-        yield Fault("lost target", cause, fix, _of_rows(partial(_only, kept=kept)), 1, common=False)
+        yield Fault("lost target", cause, fix, OfRows(partial(_only, kept=kept)), 1, common=False)
     for column in samples.labels:
         labels = samples.faces(column)
         if not 2 <= len(labels.names) <= MOST_SESSIONS:
@@ -293,7 +304,7 @@ def _places(problem: Problem, samples: Samples) -> Iterator[Fault]:
             for rows, words in ((labels.codes == code, "is"), (labels.codes != code, "is not")):
                 for factor, unit in UNIT_MISTAKES.items():
                     changed = {each: np.where(rows, factor, 1.0) * samples.columns[each] for each in lengths}
-                    undo = _of_rows(partial(replace, columns={**samples.columns, **changed}))
+                    undo = OfRows(partial(replace, columns={**samples.columns, **changed}))
                     cause = f"the lengths where {column} {words} '{name}' seem to be {unit}"
                     yield Fault(f"unit by {column}", cause, "Convert those rows", undo, 1, common=False)
 
@@ -302,7 +313,7 @@ def _columns_and_joints(problem: Problem) -> Iterator[Fault]:
     """Mistakes in whole columns: sign, units, joints the other way or swapped; the table's convention."""
     turns = problem.robot.revolute
     for suspect in problem.instrument.suspects:
-        yield Fault(suspect.about, suspect.cause, suspect.fix, _of_rows(partial(_rewritten, suspect=suspect)))
+        yield Fault(suspect.about, suspect.cause, suspect.fix, OfRows(partial(_rewritten, suspect=suspect)))
     if turns.any():
         for factor, words in ANGLE_UNITS.items():
             cause, fix = f"the joint angles look like {words}", "Correct the unit in the columns' names"
@@ -415,7 +426,7 @@ def _signs_of_faces(samples: Samples, column: str, label: str | None, ends: floa
                 reading[rows] = end - reading[rows]
                 return replace(samples, columns={**samples.columns, column: reading})
 
-            yield Fault(f"dial sign of '{name}'", cause, fix, _of_rows(other))
+            yield Fault(f"dial sign of '{name}'", cause, fix, OfRows(other))
 
 
 def pairings(whole: Samples) -> Iterator[Fault]:
@@ -471,7 +482,7 @@ def _some_units(samples: Samples, column: str, ends: tuple[float, float]) -> Ite
         which = f"up to {most / factor:.3g}" if factor > 1 else f"beyond {most:g}"
         cause, fix = f"the readings {which} mm seem to be {words}", "Write all readings in one unit"
         changed = {**samples.columns, column: np.where(other, factor * reading, reading)}
-        yield Fault("unit of some readings", cause, fix, _of_rows(partial(replace, columns=changed)), 1, False)
+        yield Fault("unit of some readings", cause, fix, OfRows(partial(replace, columns=changed)), 1, False)
 
 
 def _exchanged(problem: Problem, samples: Samples) -> Iterator[Fault]:
@@ -485,7 +496,7 @@ def _exchanged(problem: Problem, samples: Samples) -> Iterator[Fault]:
     for one, two in (pair for pair in pairs if known & set(pair)):
         cause, fix = f"the labels '{one}' and '{two}' seem to be exchanged in all rows", "Exchange them"
         yield Fault(
-            "labels exchanged", cause, fix, _of_rows(partial(exchanged, column=column, names={one: two, two: one}))
+            "labels exchanged", cause, fix, OfRows(partial(exchanged, column=column, names={one: two, two: one}))
         )
 
 
@@ -516,9 +527,4 @@ def _rewritten(samples: Samples, *, suspect: Suspect) -> Samples:
 
 
 def _turned(matrix: Array, shift: Array | float = 0.0) -> Undo:
-    return _of_rows(lambda samples: replace(samples, joints=samples.joints @ matrix.T + shift))
-
-
-def _of_rows(change: Callable[[Samples], Samples]) -> Undo:
-    """What undoes a fault of the rows alone."""
-    return lambda problem, samples: Undone(problem, change(samples))
+    return OfRows(lambda samples: replace(samples, joints=samples.joints @ matrix.T + shift))
