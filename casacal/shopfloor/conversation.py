@@ -15,7 +15,7 @@ from casacal.data.samples import WRITTEN, Layout
 from casacal.errors import CasacalError
 from casacal.model.instrument import OVERTRAVEL, readings_within
 from casacal.model.problem import Problem
-from casacal.planning.route import joints_shown
+from casacal.planning.route import CHECK, joints_shown
 from casacal.shopfloor.gauges import Gauge
 from casacal.shopfloor.known import per_reading
 from casacal.shopfloor.session import Session
@@ -29,7 +29,8 @@ WORDS = {"u": UNDO, "k": KEEP, "c": CORRECT, "s": SKIP, "q": QUIT, "h": HELP, "?
 
 COMMANDS = (
     "u: undo the last touch, or the one in doubt (u 7: touch 7). k: keep it as it is. c: accept suggestion 1 (c 2: "
-    "suggestion 2). s: skip this touch. q: end; what was measured is already on disk."
+    "suggestion 2). s: skip this touch (s 7: touch 7, or ask for it again). q: end; what was measured is already on "
+    "disk."
 )
 
 NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
@@ -200,12 +201,14 @@ def _obeyed(session: Session, proposed: Touch | None, word: str, number: int | N
     if word == SKIP:
         if session.alarm is not None:
             return Answer(session, tuple(doubt(session)))
-        skipped = number if number is not None else None if proposed is None else proposed.number
-        if skipped is None:
+        if number is None and proposed is None:
             raise CasacalError("The plan has no touch left to skip", "Type q to end")
+        skipped = number if number is not None or proposed is None else proposed.number
+        if skipped is None:
+            return Answer(session.skip(None), ("another touch is proposed",))
         if any(touch.number == skipped for touch in session.touches):
             raise CasacalError(f"Touch {skipped} has been made", f"u {skipped} takes it back")
-        return Answer(session.skip(skipped), (f"touch {skipped} is left out",))
+        return Answer(after := session.skip(skipped), (_left_out(after, skipped),))
     if word == KEEP:
         done, after = "kept", session.keep()
     elif word == CORRECT:
@@ -221,6 +224,20 @@ def _obeyed(session: Session, proposed: Touch | None, word: str, number: int | N
         done, after = "taken back", session.undo(None if number is None else there[number])
     stands = (_report(after),) if len(after) and after.alarm is None else ()
     return Answer(after, (done, *stands, *doubt(after)), "changed")
+
+
+def _left_out(session: Session, number: int) -> str:
+    """That a touch of the plan is left out, and what that costs; or that it is asked for again."""
+    touch = session.planned(number)
+    if number not in session.skipped or touch is None:
+        return f"touch {number} is asked for again"
+    said = f"touch {number} is left out (s {number} asks for it again)"
+    if touch.purpose != CHECK or session.plan is None:
+        return said
+    planned = (session.planned(k) for k in range(1, len(session.plan) + 1) if k not in session.skipped)
+    left = sum(each is not None and each.purpose == CHECK and each.labels == touch.labels for each in planned)
+    where = f" on {', '.join(touch.labels.values())}" if touch.labels else ""
+    return f"{said}; {counted(left, 'touch')}{where} to verify {'is' if left == 1 else 'are'} left"
 
 
 def repeats_last(session: Session, line: str, gauge: Gauge) -> bool:
@@ -329,9 +346,11 @@ def doubt(session: Session) -> list[str]:
     if alarm is None:
         return []
     size = abs(alarm.off) / alarm.std if alarm.std > 0 else math.inf
+    there = alarm.raised_by == len(session) - 1
     said = [
         f"warning: touch {session.shown(alarm.raised_by)} is off by {figures(alarm.off)} mm, {times(size)} times "
-        "what was to be expected. What would explain it, the likeliest first:"
+        f"what was to be expected.{' The arm still stands there: look at the dial again first.' * there} What would "
+        "explain it, the likeliest first:"
     ]
     for k, each in enumerate(alarm.suspects, 1):
         cause, chance = "no known cause explains it" if each.slip is None else each.slip.words, each.chance

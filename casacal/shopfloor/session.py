@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-from casacal.errors import CasacalError, came, refuse_unknown
+import numpy as np
+
+from casacal.errors import CasacalError, SimulationError, came, refuse_unknown
 from casacal.fit.filters import Belief
 from casacal.model.problem import Problem
 from casacal.planning.candidates import refuse_several
@@ -48,7 +50,7 @@ class Session(Value):
         cell: where faces are and how far the tool may tilt, for touches beyond the plan; by default as `plan` has it.
         clearance: what the arm must keep clear of in touches beyond the plan.
         best_first: whether the touch of the plan is next that lowers the tip error most, not the next on the way.
-        touches, state, skipped: of a session that goes on; see `resumed`.
+        touches, state, skipped, declined: of a session that goes on; see `resumed`.
 
     Every step gives another session. An `alarm` stands until `undo`, `keep` or `correct` answers it.
 
@@ -67,6 +69,7 @@ class Session(Value):
     touches: tuple[Touch, ...] = ()
     state: SessionState = field(default_factory=SessionState)
     skipped: frozenset[int] = frozenset()
+    declined: frozenset[int] = frozenset()
 
     def __post_init__(self) -> None:
         refuse_several(self.problem, "A session uses one instrument", "Give", self.box, self.targets)
@@ -140,10 +143,20 @@ class Session(Value):
             raise CasacalError(what, "Take it back, or keep it as it is")
         return self._put(chosen.touch, chosen.slip.touch)
 
-    def skip(self, number: int) -> Session:
-        """Leave a touch of the plan out."""
+    def skip(self, number: int | None) -> Session:
+        """Leave a touch of the plan out, or ask for it again; None asks for another touch beyond the plan."""
+        if number is None:
+            return replace(self, declined=self.declined | {self._further()})
         self.planned(number)
-        return replace(self, skipped=self.skipped | {number})
+        return replace(self, skipped=self.skipped ^ {number})
+
+    def _further(self) -> int:
+        """The touch beyond the plan that tells most of those that nobody declined; SimulationError where all were."""
+        known, field, all_of_them = self.state.known, self.field, self._setting.further
+        left = np.setdiff1d(np.arange(len(all_of_them)), list(self.declined))
+        if known is None or field is None or not left.size:
+            raise SimulationError("No further touch can be proposed", "Enter joint values and reading of your own")
+        return int(left[Pool.of(known, all_of_them.take(left)).most_telling(known.covariance, field)])
 
     def resumed(self, touches: Sequence[Touch]) -> Session:
         """The session after touches that were made earlier, such as those of a file; the last is judged as new."""
@@ -170,8 +183,7 @@ class Session(Value):
             return candidates[Pool.of(known, rows_of(candidates)).most_telling(known.covariance, self.field)]
         if self.tolerance is None or known is None or self.field is None:
             return None
-        pool = Pool.of(known, self._setting.further)
-        return Touch.of(pool.samples, pool.most_telling(known.covariance, self.field))
+        return Touch.of(self._setting.further, self._further())
 
     def expected(self, touch: Touch) -> tuple[float, float] | None:
         """Reading along the plunger to expect at a touch, and its standard deviation, mm; None where none is known.

@@ -143,6 +143,7 @@ def _measure(work: Work) -> dict[str, Any]:
         "asks": bool(work.place.gauge.asks) and work.line is not None,
         "controller": work.place.stands is not None,
         "help": help_words(session.problem),
+        "skipped": sorted(session.skipped - {touch.number for touch in session.touches}),
     }
     found |= _next(work, recording)
     over = found["next"] is None and session.alarm is None
@@ -234,6 +235,8 @@ def _verify(work: Work) -> dict[str, Any]:
         return {"state": AHEAD, "missing": "A calibration: it is judged by touches that it has not seen"}
     if work.verified is None:
         missing = "The touches that were kept: whether the promise holds where nothing was fitted"
+        if work.recording is not None and work.recording.session.skipped:
+            missing += ". Touches were left out: ask for them again under Measure where too few are left"
         return {"state": OPEN, "missing": missing}
     found = work.verified
     missing = "" if found.passed else "Touches that show the arm within the tolerance: these leave it open or deny it"

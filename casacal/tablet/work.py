@@ -38,6 +38,7 @@ from casacal.values import Array
 from casacal.verification.verification import Verification
 from casacal.wording import counted
 
+OF_SET_UPS = re.compile(r"--(block|tilt|plate)\b")
 OF_TERMINAL = re.compile(
     r"(?<![\w-])--[a-z]|\bcasacal (?:calibrate|changed|check|compensate|doctor|export|measure|plan|predict|verify)\b"
 )
@@ -507,4 +508,6 @@ def unforeseen(error: Exception) -> str:
 def for_page(words: str) -> str:
     """Words of casacal for its page, which has neither commands nor options: where they name some, that is said."""
     own = "these are commands and options of casacal in a terminal, and this page has its gates in their place"
+    if OF_SET_UPS.search(words):
+        own = "options of casacal plan in a terminal: end this page, plan there, and serve the problem that it writes"
     return f"{words} ({own})" if OF_TERMINAL.search(words) else words

@@ -315,6 +315,7 @@ def test_a_touch_may_be_left_out(hsr, route):
     assert session.next().number == 1
     assert session.skip(1).skip(2).next().number == 3
     assert session.next().number == 1
+    assert session.skip(1).skip(2).skip(1).next().number == 1, "what was left out is asked for again"
 
 
 @pytest.mark.long
@@ -579,6 +580,42 @@ def test_what_is_off_is_said_as_it_is_read(late, world):
         (words,) = answered(late, touch, line, gauge("plain")).said
         said = float(words.split("; ")[1].partition(" mm from what was expected")[0])
         assert said == pytest.approx(off, rel=0.05, abs=1e-4)
+
+
+def test_what_leaving_a_touch_out_costs_is_said(hsr, route):
+    session, labels = Session(hsr.problem, route), route.samples.labels["plane"]
+    checks = [k for k, purpose in enumerate(route.purposes, 1) if purpose == "check"]
+    number, where = checks[0], labels[checks[0] - 1]
+    beside = sum(labels[k - 1] == where for k in checks) - 1
+    first = answered(session, session.next(), f"s {number}", gauge("plain"))
+    assert f"{beside} touch{'' if beside == 1 else 'es'} on {where} to verify" in first.said[0]
+    again = answered(first.session, session.next(), f"s {number}", gauge("plain"))
+    assert again.said == (f"touch {number} is asked for again",)
+    assert again.session.skipped == frozenset()
+    other = next(k for k, purpose in enumerate(route.purposes, 1) if purpose == "fit")
+    assert "to verify" not in answered(session, session.next(), f"s {other}", gauge("plain")).said[0]
+
+
+def test_another_touch_beyond_the_plan_is_proposed_where_one_cannot_be_made(hsr, late, world):
+    over = replace(late, tolerance=0.01, cell=hsr.cell)
+    for number in range(len(late) + 1, len(late.plan) + 1):
+        over = over.skip(number)
+    proposed = over.next()
+    assert proposed.number is None
+    answer = answered(over, proposed, "s", gauge("plain"))
+    assert answer.said == ("another touch is proposed",)
+    other = answer.session.next()
+    assert other.number is None
+    assert np.abs(other.joints - proposed.joints).max() > 1e-3
+    assert answer.session.skip(None).next().joints.tolist() not in ([*proposed.joints], [*other.joints])
+
+
+def test_where_the_arm_still_stands_the_dial_is_looked_at_first(late, world):
+    touch = late.next()
+    joints, reading, _ = world.touch(touch.number)
+    wrong = " ".join([*(f"{value:.6f}" for value in np.degrees(joints)), f"{(reading + 5) % 10:.3f}"])
+    said = answered(late, touch, wrong, gauge("plain")).said
+    assert "The arm still stands there: look at the dial again first" in " ".join(said)
 
 
 def test_the_touch_that_is_named_is_skipped(late):

@@ -590,6 +590,16 @@ def measured(workplace, planned):
     return work
 
 
+def test_touches_that_were_left_out_are_named_and_asked_for_again(measured):
+    for line in ("s 12", "s 13"):
+        enter(measured, line)
+    gates = document(measured)["gates"]
+    assert gates["measure"]["skipped"] == [12, 13]
+    assert gates["measure"]["next"]["number"] == 11
+    enter(measured, "s 12")
+    assert document(measured)["gates"]["measure"]["skipped"] == [13]
+
+
 def shown(work):
     """What GET /state answers, with the gates' states and words."""
     with served(work) as (host, cookie):
@@ -865,6 +875,7 @@ def test_a_correction_that_gains_nothing_is_warned_of():
 def test_words_of_the_terminal_are_named_as_such():
     for words in ("Name another --out", "run casacal check X", "leave them with --skip-unknown"):
         assert "in a terminal" in for_page(words)
+    assert "serve the problem that it writes" in for_page("a gauge block of 100 mm on 'floor' (--block=100)")
     for words in ("End casacal serve", "1 to 3 -- or more", "written by casacal 1.0: compensate x"):
         assert for_page(words) == words
 

@@ -7,7 +7,7 @@ const MARKS = { passed: "✓ ", open: "", ahead: "… " };
 const WORDS = { passed: "done", open: "to do", ahead: "waits for another gate" };
 const IN_SPACE = ["plan", "measure"];
 const LOST = "No answer from the robot's computer. What was taken is on its disk; this page goes on when it answers.";
-let state = null, space = null, spaceOf = null, touch = null, sending = false;
+let state = null, space = null, spaceOf = null, touch = null, sending = false, askedFor = null;
 
 const $ = (id) => document.getElementById(id);
 
@@ -146,7 +146,10 @@ function showMeasure(gate) {
   $("reading-label").textContent = gate.reads.join(", ") || "Touch";
   $("ask").hidden = !gate.asks;
   $("again").hidden = !gate.doubled;
-  $("skip").hidden = next === null || next.number === null;
+  $("skip").hidden = next === null;
+  const asked = next === null ? "" : `${next.number} ${next.joints}`;
+  if (askedFor !== null && asked !== askedFor) $("reading").value = "";  // it was typed for another touch
+  askedFor = asked;
   $("undo").hidden = gate.made === 0 || gate.doubt !== null;
   $("help").textContent = gate.help;
   $("doubt").replaceChildren(...(gate.doubt === null ? [] : doubtful(gate.doubt)));
@@ -155,6 +158,10 @@ function showMeasure(gate) {
     (name) => el("td", each[name])), each.state === "in doubt" ? { class: "doubt" } : {})));
   $("going-on").hidden = gate.ended.length === 0;
   $("progress").replaceChildren(...progress(gate));
+  if (gate.skipped.length) {
+    const again = gate.skipped.flatMap((number) => [button(`Ask for touch ${number} again`, `s ${number}`), " "]);
+    $("progress").append(el("p", ["Left out: ", ...again]));
+  }
   if (gate.ended.length) $("progress").append(el("ul", gate.ended.map((words) => el("li", words)), { class: "said" }));
 }
 
@@ -307,7 +314,10 @@ submitted("correction", async () => {
   });
   $("corrected").replaceChildren(...made, ...found.said.map((words) => el("li", words)));
 });
-$("calibrate").addEventListener("click", () => step("calibrate"));
+$("calibrate").addEventListener("click", () => {
+  $("corrected").replaceChildren();  // made by the calibration before
+  step("calibrate");
+});
 $("ask").addEventListener("click", () => step("ask"));
 $("form").addEventListener("change", () => showConventions(state.gates.conventions));
 $("rows-joints").addEventListener("click", async () => {
