@@ -1,5 +1,6 @@
 """The page in a real browser: a whole session, windows, a killed server, a gauge, a controller, keys alone, axe."""
 
+import contextlib
 import os
 import re
 import shutil
@@ -34,8 +35,19 @@ class Page:
     def part(self, selector):
         return self.driver.find_element("css selector", selector)
 
+    def _with(self, act, selector):
+        """What `act` does with a part; once more where the page was drawn anew between finding it and acting."""
+        stale = pytest.importorskip("selenium.common.exceptions").StaleElementReferenceException
+        for _ in range(50):
+            with contextlib.suppress(stale):
+                return act(self.part(selector))
+        return act(self.part(selector))
+
     def text(self, selector):
-        return self.part(selector).text
+        return self._with(lambda part: part.text, selector)
+
+    def click(self, selector):
+        self._with(lambda part: part.click(), selector)
 
     def until(self, true, what):
         end = time.monotonic() + PATIENCE
@@ -47,7 +59,7 @@ class Page:
         raise AssertionError(f"{what}: {self.text('main')} {self.driver.get_log('browser')}")
 
     def go(self, gate):
-        self.part(f"#gates a[href='#{gate}']").click()
+        self.click(f"#gates a[href='#{gate}']")
         self.until(lambda: self.part(f"#{gate}").is_displayed(), gate)
 
     def made(self):
@@ -154,7 +166,7 @@ def kept(page):
     """Answer doubts about touches that were made well."""
     while page.text("#doubt"):
         before = page.text("#doubt")
-        page.part("#doubt button[data-line=k]").click()
+        page.click("#doubt button[data-line=k]")
         page.until(lambda before=before: page.text("#doubt") != before, "an answer")
 
 
@@ -172,7 +184,7 @@ def test_a_session_of_forty_touches(browser, serve, planned, tmp_path):
             page.take(line_of(world, number, off=4.0), count + 1)
             page.until_doubt()
             assert not page.part("#reading-form").is_displayed()  # an answer comes first
-            page.part(f"#doubt button[data-line='u {number}']").click()
+            page.click(f"#doubt button[data-line='u {number}']")
             page.until_made(count)
             kept(page)
             continue
@@ -203,12 +215,12 @@ def test_a_session_of_forty_touches(browser, serve, planned, tmp_path):
     assert len([line for line in rows if line[0].isdigit() or line[0] == "-"]) == 40
     assert "19 times of 20" in page.text("#progress")
     page.go("decide")
-    page.part("#calibrate").click()
+    page.click("#calibrate")
     page.until(lambda: page.text("#verdict").startswith("Calibrated"), "a verdict")
     page.until(lambda: page.part("#report").is_displayed(), "the report")
     browser.switch_to.frame(page.part("#report"))
     assert page.text(".kind").lower() == "calibration report"
-    page.part("#space-fold summary").click()  # which draws in the frame as well
+    page.click("#space-fold summary")  # which draws in the frame as well
     page.until(lambda: page.part("#space-view").get_attribute("data-engine"), "the picture in space")
     browser.switch_to.default_content()
     page.go("verify")
@@ -219,13 +231,13 @@ def test_a_session_of_forty_touches(browser, serve, planned, tmp_path):
     targets = tmp_path / "targets.csv"
     targets.write_text("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n10,20,30,-50,-55,-50\n")
     page.part("#targets").send_keys(str(targets))
-    page.part("#correction button").click()
+    page.click("#correction button")
     page.until(lambda: "Save corrected.csv" in page.text("#corrected"), "corrected targets")
     bad = tmp_path / "bad.csv"
     bad.write_text("q1_deg\nx\n")
     page.part("#targets").send_keys(str(bad))  # beside the first
     assert page.text("#corrected") == ""
-    page.part("#correction button").click()
+    page.click("#correction button")
     page.until(lambda: "bad.csv" in page.text("#trouble"), "a refusal of both")
     assert page.text("#corrected") == ""
     severe = [each for each in browser.get_log("browser") if "Failed to load resource" not in each["message"]]
