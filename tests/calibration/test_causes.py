@@ -116,6 +116,25 @@ def test_two_mistakes_at_once_are_both_named(scara):
     assert "both undone" in found.cause
 
 
+def test_a_flip_beside_a_swap_or_a_tool_elsewhere_is_named_with_it(scara):
+    """Neither alone brings the rows near the drawn arm, so that only fits tell which pairs are worth one."""
+    problem, samples = touched(scara, seed=1)
+    joints = samples.joints[:, [1, 0, 2, 3]] * (1, 1, 1, -1)
+    found = only(problem, REPLACE(samples, joints=joints))
+    assert found.about == "joints 1 and 2 swapped and joint 4 flipped"
+    tool = REPLACE(problem.instrument.tool, values=(160.0, 0.0, 80.0))
+    longer = problem.with_parts(problem.robot, [REPLACE(problem.instrument, tool=tool)])
+    found = only(longer, REPLACE(samples, joints=samples.joints * (-1, 1, 1, 1)))
+    assert found.about == "joint 1 flipped and tool elsewhere"
+    assert "tool_x by -100" in found.cause or "tool_x by -99" in found.cause
+
+
+def test_a_simple_mistake_is_found_where_the_misfit_is_moderate(scara):
+    problem, samples = touched(scara, seed=1)
+    found = only(problem.with_settings({"sign": -1, "noise_std": 0.5}), samples)
+    assert found.about == "wrong dial sign"
+
+
 def test_clean_samples_of_another_arm_have_no_cause(scara):
     assert not errors(check(*touched(scara)))
 
