@@ -155,7 +155,10 @@ def _of_makers(nothing: _Attempt) -> list[_Attempt]:
 
 
 def _singles(faults: Sequence[Fault], nothing: _Attempt, near: float, most: float) -> list[_Attempt]:
-    """Every fault undone and fitted; where rows are `near` the drawn arm, or one brings them there, none far away."""
+    """Every fault undone and fitted; where rows are `near` the drawn arm, or one brings them there, none beyond `most`.
+
+    near, most: RMS residuals about the drawn arm, in the unit of the rows.
+    """
     trials = [each for fault in faults for each in _undone(fault, nothing)]
     as_they_are, *off = _off_the_drawing([nothing, *trials], nothing)
     found = np.nanmin([as_they_are, *off, math.inf]) < near
@@ -163,9 +166,10 @@ def _singles(faults: Sequence[Fault], nothing: _Attempt, near: float, most: floa
 
 
 def _off_the_drawing(trials: Sequence[_Attempt], before: _Attempt) -> list[float]:
-    """Root mean square residual about the drawn arm, largest tenth left out; NaN where not only numbers of rows change.
+    """RMS residual of each trial about the drawn arm, largest tenth left out; NaN where more than numbers change.
 
-    A fit takes several times as long, and of an arm with a joint counted the wrong way it ends anywhere.
+    In the unit of the rows, mm as a rule. A fit takes several times as long, and of an arm with a joint counted the
+    wrong way it ends anywhere.
     """
     problem, samples = before.undone.problem, before.undone.samples
     try:

@@ -281,6 +281,7 @@ class RowModel:
         self.pose = self._made("pose", traced.pose)
         """Flange pose (16), column by column."""
         self.arm = traced.robot.traced
+        """The pose of the arm as a graph, the same for all priors."""
         plunger = traced.seen.plunger
         self.plunger = None if plunger is None else self._made("plunger", plunger)
         """Direction of the plunger (3) in the base frame; None for an instrument without one."""

@@ -608,6 +608,8 @@ def test_another_touch_beyond_the_plan_is_proposed_where_one_cannot_be_made(hsr,
     assert other.number is None
     assert np.abs(other.joints - proposed.joints).max() > 1e-3
     assert answer.session.skip(None).next().joints.tolist() not in ([*proposed.joints], [*other.joints])
+    with pytest.raises(CasacalError, match=r"No further touch can be proposed\. Enter joint values and reading"):
+        replace(over, declined=frozenset(range(10_000))).next()
 
 
 def test_where_the_arm_still_stands_the_dial_is_looked_at_first(late, world):
