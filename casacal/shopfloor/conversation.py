@@ -335,9 +335,23 @@ def _report(session: Session) -> str:
         said.append(f"face {', '.join(last.labels.values())} is not yet known well enough to judge it")
     if session.tip_error is not None and session.tip_error_below is not None:
         said.append(f"tip error {figures(session.tip_error)} mm expected, below {figures(session.tip_error_below)}")
+    if (distrust := too_many_corrected(session)) is not None:
+        said.append(distrust)
     if session.noise > 1:
         said.append(f"touches scatter {session.noise:.2g} times the stated noise; figures allow for it")
     return "; ".join(said)
+
+
+def too_many_corrected(session: Session) -> str | None:
+    """A clause that more touches were corrected than anybody mistypes, and what to do; None where they were not."""
+    if not session.distrusted:
+        return None
+    names = ", ".join(str(session.shown(k)) for k in session.corrected)
+    return (
+        f"warning: {len(session.corrected)} of {counted(len(session), 'touch')} were corrected ({names}), more than "
+        "people mistype. A suggestion was accepted that was not true, or something is wrong that all touches share, "
+        "such as a joint's sign, a face or the dial. No tip error is promised until these touches are made again"
+    )
 
 
 def doubt(session: Session) -> list[str]:
@@ -372,6 +386,8 @@ def ended(session: Session) -> list[str]:
             f"mm{met}, apart from the position of the base, if the priors and the form of the arm's model are right. "
             "casacal calibrate judges that"
         )
+    if (distrust := too_many_corrected(session)) is not None:
+        said.append(distrust)
     if few := session.too_few:
         have = f"{', '.join(few)} {'has' if len(few) == 1 else 'have'}"
         said.append(f"warning: {have} too few touches; casacal calibrate asks for more there, or leaves them out")

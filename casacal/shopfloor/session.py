@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.special import bdtrc
 
 from casacal.errors import CasacalError, SimulationError, came, refuse_unknown
 from casacal.fit.filters import Belief
@@ -35,6 +36,9 @@ from casacal.shopfloor.known import (
 from casacal.shopfloor.touch import Slip, Touch, columns_of, joints_of, labels_of, rows_of, slips_of
 from casacal.simulation.cell import Disturbances
 from casacal.values import Array, Box, Value, as_given, is_real
+
+MISTYPED = 0.05  # part of all touches that people mistype at most
+TOO_MANY = 1e-3  # chance of so many answers to doubts below which it was not mistyping
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -141,7 +145,7 @@ class Session(Value):
         if chosen.slip is None:
             what = f"Nothing that could be corrected explains touch {self.shown(chosen.touch)}"
             raise CasacalError(what, "Take it back, or keep it as it is")
-        return self._put(chosen.touch, chosen.slip.touch)
+        return self._put(chosen.touch, replace(chosen.slip.touch, corrected=True))
 
     def skip(self, number: int | None) -> Session:
         """Leave a touch of the plan out, or ask for it again; None asks for another touch beyond the plan."""
@@ -261,14 +265,31 @@ class Session(Value):
         return 1.0 if self.state.known is None else self.state.known.factor
 
     @property
+    def corrected(self) -> tuple[int, ...]:
+        """Touches, counted from 0, that a suggestion changed."""
+        return tuple(k for k, touch in enumerate(self.touches) if touch.corrected)
+
+    @property
+    def distrusted(self) -> bool:
+        """Whether more touches were corrected than people mistype: a suggestion fits, be it true or not.
+
+        Those that are kept speak for themselves, by a larger `noise`.
+        """
+        count = len(self.corrected)
+        return count > 1 and float(bdtrc(count - 1, len(self), MISTYPED)) < TOO_MANY
+
+    @property
     def tip_error(self) -> float | None:
-        """Tip error to expect where it is wanted, mm RMS, apart from the base's position; None before any touch."""
-        return None if self.weights is None else math.sqrt(float(self.weights.sum()))
+        """Tip error to expect where it is wanted, mm RMS, apart from the base's position.
+
+        None before any touch, and where so many were corrected that they no longer tell what is true: `distrusted`.
+        """
+        return None if self.weights is None or self.distrusted else math.sqrt(float(self.weights.sum()))
 
     @property
     def tip_error_below(self) -> float | None:
-        """Below which the tip error is 19 times of 20, mm RMS, if priors and the form of the model are right."""
-        return None if self.weights is None else error_below(self.weights)
+        """Below which the tip error is 19 times of 20, mm RMS, if priors and model are right; None as `tip_error`."""
+        return None if self.weights is None or self.distrusted else error_below(self.weights)
 
     @property
     def done(self) -> bool:

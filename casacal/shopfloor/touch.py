@@ -26,8 +26,8 @@ from casacal.values import Array, FrozenMapping, Value, is_finite, read_only
 
 SHOWN = 3  # decimals of a reading in mm as people type it, and of a joint value in degrees or mm
 SESSION_COLUMNS = ("order", "touch", "purpose", "kept")
-"""Columns that a session adds to those of samples: order, number in the plan, purpose, whether it was kept."""
-KEPT, NONE = "yes", "-"
+"""Columns that a session adds to those of samples: order, number in the plan, purpose, how a doubt was answered."""
+KEPT, CORRECTED, NONE = "yes", "corrected", "-"
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Touch(Value):
     """One measurement: joints (n,; rad, mm), what was read by column, labels by column.
 
     number: of the plan's touch that it answers, or None. purpose: "fit", "again" or "check", as in a plan.
-    kept: whether somebody looked at it again and said that it is right.
+    kept: whether somebody looked at it again and said that it is right. corrected: whether a suggestion changed it.
     """
 
     joints: Array
@@ -44,6 +44,7 @@ class Touch(Value):
     number: int | None = None
     purpose: str = FIT
     kept: bool = False
+    corrected: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", read_only(np.array(self.joints, dtype=np.float64)))
@@ -51,11 +52,11 @@ class Touch(Value):
         object.__setattr__(self, "labels", FrozenMapping(self.labels))
 
     @staticmethod
-    def of(samples: Samples, k: int, number: int | None = None, purpose: str = FIT, *, kept: bool = False) -> Touch:
-        """A row of samples."""
+    def of(samples: Samples, k: int, number: int | None = None, purpose: str = FIT, answer: str = NONE) -> Touch:
+        """A row of samples; `answer` as a file of touches has it in its column `kept`."""
         columns = {name: float(values[k]) for name, values in samples.columns.items()}
         labels = {name: labels[k] for name, labels in samples.labels.items()}
-        return Touch(samples.joints[k], columns, labels, number, purpose, kept)
+        return Touch(samples.joints[k], columns, labels, number, purpose, answer == KEPT, answer == CORRECTED)
 
 
 def rows_of(touches: Sequence[Touch]) -> Samples:
@@ -265,13 +266,13 @@ class TouchFile(Value):
             samples = Samples.from_file(path, self.layout)
             missing = (NONE,) * len(samples)
             entries = zip(*(map(str, samples.extra.get(name, missing)) for name in SESSION_COLUMNS), strict=True)
-            for k, (order, number, purpose, kept) in enumerate(entries):
+            for k, (order, number, purpose, answer) in enumerate(entries):
                 counts = [order] if number == NONE else [order, number]
                 if not all(each.isdecimal() and len(each) < 10 for each in counts) or purpose not in PURPOSES:
                     fix = "Restore them, or start a new file"
                     raise SamplesError(path.as_posix(), "order, touch or purpose were changed", fix)
                 of_plan = None if number == NONE else int(number)
-                found.append((int(order), Touch.of(samples, k, of_plan, purpose, kept=kept == KEPT)))
+                found.append((int(order), Touch.of(samples, k, of_plan, purpose, answer)))
         found.sort(key=lambda pair: pair[0])
         return [touch for _, touch in found], cut
 
@@ -298,7 +299,7 @@ class TouchFile(Value):
             "order": [str(order) for order, _ in rows],
             "touch": [NONE if touch.number is None else str(touch.number) for touch in touches],
             "purpose": [touch.purpose for touch in touches],
-            "kept": [KEPT if touch.kept else NONE for touch in touches],
+            "kept": [KEPT if touch.kept else CORRECTED if touch.corrected else NONE for touch in touches],
         }
         return samples_text(self.layout, rows_of(touches), [self.mark], after=extra, least_decimals=JOINT_DECIMALS)
 

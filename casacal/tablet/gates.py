@@ -12,7 +12,15 @@ from casacal.model.instrument import readings_within
 from casacal.planning.candidates import cell_of
 from casacal.planning.route import CHECK, joints_shown, touches_needed
 from casacal.planning.scene import scene
-from casacal.shopfloor.conversation import doubt, ended, help_words, in_units, to_expect, waiting
+from casacal.shopfloor.conversation import (
+    doubt,
+    ended,
+    help_words,
+    in_units,
+    to_expect,
+    too_many_corrected,
+    waiting,
+)
 from casacal.shopfloor.recording import Recording
 from casacal.shopfloor.session import Session
 from casacal.shopfloor.touch import SHOWN, Touch, rows_of
@@ -136,6 +144,7 @@ def _measure(work: Work) -> dict[str, Any]:
         "curve": [[count, error] for count, error in work.errors],
         "error": None if session.tip_error is None else figures(session.tip_error),
         "below": None if session.tip_error_below is None else figures(session.tip_error_below),
+        "distrust": too_many_corrected(session),
         "tolerance": session.tolerance,
         "touches": [_made(session, k) for k in range(len(session))],
         "reads": list(session.problem.layout().columns),
@@ -177,8 +186,12 @@ def _made(session: Session, k: int) -> dict[str, Any]:
         "where": ", ".join(touch.labels.values()),
         "read": " ".join(read),
         "purpose": PURPOSES[touch.purpose],
-        "state": state or ("kept as it is" if touch.kept else "waits" if k in session.waiting else ""),
+        "state": state or _answer(touch) or ("waits" if k in session.waiting else ""),
     }
+
+
+def _answer(touch: Touch) -> str:
+    return "kept as it is" if touch.kept else "corrected" if touch.corrected else ""
 
 
 def _next(work: Work, recording: Recording) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -166,8 +167,10 @@ def test_what_was_touched_is_in_the_file_at_once(hsr, planned, tmp_path):
         assert len(left) == last - 1
         assert hsr.problem.read(file.path).joints.shape[0] == len(samples) - 1
         file.path.write_bytes(whole)
-    file.rewrite(session.touches[:5])
-    assert [touch.number for touch in file.read()[0]] == [1, 2, 3, 4, 5]
+    answered = [replace(session.touches[0], kept=True), replace(session.touches[1], corrected=True)]
+    file.rewrite([*answered, *session.touches[2:5]])
+    again = [(touch.number, touch.kept, touch.corrected) for touch in file.read()[0]]
+    assert again == [(1, True, False), (2, False, True), *((number, False, False) for number in (3, 4, 5))]
     with pytest.raises(CasacalError, match="belongs to another problem or plan"):
         TouchFile(file.path, file.layout, "measured by casacal: x, plan 2").read()
     file.path.write_text(file.path.read_text().replace(",fit,", ",fix,"))
@@ -180,7 +183,7 @@ def alike(one: Touch, two: Touch) -> bool:
         np.allclose(one.joints, two.joints, atol=1e-9)
         and dict(one.columns) == pytest.approx(dict(two.columns))
         and one.labels == two.labels
-        and (one.number, one.purpose, one.kept) == (two.number, two.purpose, two.kept)
+        and all(getattr(one, name) == getattr(two, name) for name in ("number", "purpose", "kept", "corrected"))
     )
 
 

@@ -234,6 +234,41 @@ def test_what_is_right_is_left_alone(hsr, route):
     assert doubts <= 2
 
 
+@pytest.mark.parametrize("wrong", ["joint 4", "faces", "dial"])
+def test_who_accepts_one_untrue_suggestion_after_the_other_is_told(hsr, route, world, wrong):
+    """What is wrong is shared by all touches; each suggestion fits, and the expected error would shrink with each."""
+    session, errors = Session(hsr.problem, route), []
+    for number in range(1, 25):
+        joints, reading, face = world.touch(number)
+        joints[3] += 0.2 * (wrong == "joint 4")
+        face = {"side": "wall", "wall": "side"}.get(face, face) if wrong == "faces" else face
+        session = session.take(joints, reading / 2 if wrong == "dial" else reading, face, number=number)
+        while session.alarm is not None and session.alarm.suspects[0].slip is not None:
+            session = session.correct()
+        session = session if session.alarm is None else session.undo()
+        errors.append(session.tip_error)
+        if session.distrusted:
+            break
+    assert session.distrusted
+    assert None not in errors[:-1]
+    assert session.tip_error is session.tip_error_below is None
+    assert not replace(session, tolerance=100.0).done, "any error is below"
+    assert f"{len(session.corrected)} of {len(session)} touches were corrected" in ended(session)[0]
+    for k in reversed(session.corrected):
+        session = session.undo(k)
+    assert session.tip_error is not None
+
+
+def test_corrections_that_people_need_are_no_ground_for_distrust(late):
+    """At one of twenty, two are usual of forty and eight are not."""
+    touches = [replace(touch, corrected=k % 10 == 0) for k, touch in enumerate(late.touches)]
+    assert len((few := replace(late, touches=tuple(touches))).corrected) == 4
+    assert not few.distrusted
+    many = replace(late, touches=tuple(replace(touch, corrected=k % 5 == 0) for k, touch in enumerate(late.touches)))
+    assert many.distrusted
+    assert "No tip error is promised" in ended(many)[0]
+
+
 def test_noise_beyond_the_stated_is_found_and_counted(hsr, route, late):
     world = World(hsr.problem, route, seed=5, noise=6.0)
     session = Session(hsr.problem, route)

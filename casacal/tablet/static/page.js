@@ -193,7 +193,7 @@ function button(words, line) {
 function progress(gate) {
   const made = `${gate.made} touch${gate.made === 1 ? "" : "es"}`;
   const told = [el("p", gate.error === null
-    ? `${made}; nothing is known of the tip error yet.`
+    ? `${made}; ${gate.distrust || "nothing is known of the tip error yet"}.`
     : `${made}: a tip error of ${gate.error} mm is expected, below ${gate.below} mm 19 times of 20, if the priors and the model are right.`)];
   const points = gate.curve.filter(([, error]) => error > 0);
   if (points.length > 1) told.push(curve(points, gate.tolerance));
