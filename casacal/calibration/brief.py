@@ -12,7 +12,9 @@ from casacal.calibration.calibration import Calibration
 from casacal.calibration.motion import tip_error
 from casacal.calibration.result_json import image_words, verdict_lines
 from casacal.calibration.verdict import (
+    MEND,
     VERIFY,
+    broken,
     doubts,
     earlier_contradicted,
     held_as_drawn,
@@ -84,6 +86,8 @@ def _best(calibration: Calibration) -> Cure | None:
 
 
 def _repair(calibration: Calibration, check: str) -> str:
+    if broken(calibration):
+        return f"{MEND}."
     reference, wrong = calibration.reference, wrong_with_samples(calibration)
     if held_as_drawn(calibration):
         return "free it, or state in the problem where it is, and calibrate again."

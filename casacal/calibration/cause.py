@@ -14,6 +14,7 @@ from itertools import chain
 
 import numpy as np
 
+from casacal.calibration.before_fit import OUT_OF_LIMITS, OUTSIDE, outside
 from casacal.calibration.conventions import patterns
 from casacal.calibration.faults import (
     ALIKE,
@@ -41,6 +42,7 @@ from casacal.wording import times
 
 FEW_OFF, MOSTLY = 3, 0.5  # rows, and part of those from the first on, that lie off where readings slipped
 BETTER = 0.25  # an undone fault must shrink the misfit to this part to be believed
+DENSER = 0.5  # likewise of readings that it makes smaller, in the unit in which they came
 CHANCE = 1.3  # a misfit of this size is chance: whatever leaves no more explains it all
 PROMISING = 12  # faults, or pairs of them, that a first look finds best and that are fitted to the end
 NEAR, FAR = 3.0, 10.0  # times the scatter of arms as drawn that rows may have: with the cause undone, and ever
@@ -64,6 +66,8 @@ class _Attempt:
     faults: tuple[Fault, ...]
     undone: Undone
     size: float  # the misfit that is left
+    base: float = math.inf  # that of the rows as they came, infinite where the instrument cannot read so
+    shrunk: float = 1.0  # part that undone readings have of the scatter of those that came, one at most
 
     @property
     def freedom(self) -> int:
@@ -78,7 +82,10 @@ def explained(
     problem: with one instrument. samples: its rows, some hundred. base: their misfit as they are. gross: whether it is
     so large that two mistakes at once are looked for. whole: all rows in their order, where samples are some of them.
     """
-    nothing = _Attempt((), Undone(problem, samples), 0.0)
+    impossible = any(
+        each.severity == "error" and each.about in (OUTSIDE, OUT_OF_LIMITS) for each in outside(problem, samples)
+    )
+    nothing = _Attempt((), Undone(problem, samples), base, math.inf if impossible else base)
     whole = samples if whole is None or len(whole) > MOST_PAIRED else whole
     faults = [*chain(suspected(problem, samples), pairings(whole), some_radians(problem, whole))]
     drawn = bind(problem, samples)
@@ -117,7 +124,7 @@ def explained(
 def cause_of_rows(problem: Problem, samples: Samples, off: Rows) -> Finding | None:
     """What rows that lie off (N,) have in common: a slip by a row, their unit, or a joint that hangs."""
     tail = off.sum() >= FEW_OFF and off[int(np.argmax(off)) :].mean() >= MOSTLY
-    nothing = _Attempt((), Undone(problem, samples), 0.0)
+    nothing = _Attempt((), Undone(problem, samples), math.inf)
     rows = chain(some_radians(problem, samples), hanging(samples)) if off.any() else ()
     for fault in chain(pairings(samples) if tail else (), rows):
         for tried in _one(fault, nothing):
@@ -134,7 +141,15 @@ def _undone(fault: Fault, before: _Attempt) -> Iterator[_Attempt]:
         undone = fault.undo(before.undone.problem, before.undone.samples)
     except CasacalError:  # such as a tool of an instrument that holds it
         return
-    yield _Attempt((*before.faults, fault), replace(undone, found=before.undone.found + undone.found), math.inf)
+    shrunk = before.shrunk * _shrunk(before.undone.samples, undone.samples)
+    undone = replace(undone, found=before.undone.found + undone.found)
+    yield _Attempt((*before.faults, fault), undone, math.inf, before.base, shrunk)
+
+
+def _shrunk(before: Samples, after: Samples) -> float:
+    """The least part, one at most, that readings of a column have of the scatter that they had before a change."""
+    stds = ((float(np.std(values)), float(np.std(after.columns[name]))) for name, values in before.columns.items())
+    return min((new / old for old, new in stds if 0 < new < old), default=1.0)
 
 
 def _fitted(trial: _Attempt) -> _Attempt:
@@ -227,13 +242,18 @@ def _looked_at_closely(tried: list[_Attempt]) -> list[_Attempt]:
 
 
 def _to_the_end(trial: _Attempt) -> _Attempt:
-    """A trial with its final misfit: infinite where shuffled joint values would fit about as well."""
+    """A trial with its final misfit: infinite where it says nothing.
+
+    So where shuffled joint values would fit about as well, and where only smaller numbers fit better: readings that are
+    divided by 25.4 carry a 25th of the noise that they came with, and their density has that factor in it.
+    """
     undone, samples = trial.undone, trial.undone.samples
     size = misfit(undone.problem, samples, start=undone.start)
     if size > EXPLAINED:
         return replace(trial, size=size)
     mixed = replace(samples, joints=np.random.default_rng(0).permuted(samples.joints, axis=0))
     says_nothing = misfit(undone.problem, mixed, start=undone.start) * BETTER < max(size, SUSPICIOUS)
+    says_nothing |= size / trial.shrunk > DENSER * trial.base
     return replace(trial, size=math.inf if says_nothing else size)
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from casacal.calibration.as_arm import AsArm
 from casacal.calibration.inputs import problem_from, samples_of
 from casacal.calibration.saved import arm_from
-from casacal.data.repeats import copies, fitted_among, in_fitted_postures
+from casacal.data.recognised import copies, fitted_among, in_fitted_postures
 from casacal.data.samples import Samples
 from casacal.deployment.arm import (
     NOTHING,
@@ -391,7 +391,7 @@ def _noise_used(result: CalibratedArm, bound: BoundProblem, *, other: bool) -> d
     if not noise.by_face:
         return {}
     pairs = {name: (face.stated_mm, face.without_joints_mm) for name, face in noise.by_face.items()}
-    joints = {REPEATABILITY: noise.joints_rad} if noise.joints_rad > 0 else {}
+    joints = {f"{REPEATABILITY}{noise.loose_joint or ''}": noise.joints_rad} if noise.joints_rad > 0 else {}
     if other:
         excess = min(used**2 - stated**2 for stated, used in pairs.values())
         stated = float(np.median(bound.block.noise))

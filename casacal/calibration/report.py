@@ -422,8 +422,9 @@ def _noise(calibration: Calibration, noise: Mapping[str, Any]) -> str:
         " to ".join(dict.fromkeys(fixed(edge([face[key] for face in faces])) for edge in (min, max)))
         for key in ("used_mm", "stated_mm")
     )
-    joints = noise["joints_rad"]
-    more = f" The pattern fits a joint repeatability of {sized(joints, 'rad')}." if joints else ""
+    rad, loose = noise["joints_rad"], noise["loose_joint"]
+    what = f"joint {loose} alone that does not repeat, by" if loose else "a joint repeatability of"
+    more = f" The pattern fits {what} {sized(rad, 'rad')}." if rad else ""
     return f"Every figure uses the noise as found: {used} mm, stated {stated} mm.{more}"
 
 

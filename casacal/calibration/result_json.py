@@ -24,7 +24,7 @@ from casacal.deployment.result import SCHEMA, Verdict
 from casacal.effects.effect import effects_of
 from casacal.errors import CasacalError
 from casacal.files import sealed
-from casacal.fit.bound_problem import REPEATABILITY, BoundProblem, without_joints
+from casacal.fit.bound_problem import BoundProblem, repeatability, without_joints
 from casacal.fit.least_squares import Result
 from casacal.model.problem_file import ProblemFile
 from casacal.model.term import Site
@@ -294,7 +294,7 @@ def noise_part(calibration: Calibration) -> dict[str, Any]:
         "low": found.low,
         "high": found.high,
         "repeats": None if found.repeats is None else asdict(found.repeats),
-        "joints_rad": fit.scale.get(REPEATABILITY, 0.0),
+        **dict(zip(("loose_joint", "joints_rad"), repeatability(fit.scale), strict=True)),
         "by_face": {
             name: {key: float(np.median(each[rows])) for key, each in noise.items()}
             | ({} if units.get(name, "mm") == "mm" else {"unit": units[name]})  # of what is no length

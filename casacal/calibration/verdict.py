@@ -20,12 +20,12 @@ from casacal.data.samples import Measurements
 from casacal.deployment.result import Verdict
 from casacal.effects.selection import at_most, errors_are_shared
 from casacal.effects.trusted import COVERED
-from casacal.fit.bound_problem import BoundProblem
+from casacal.fit.bound_problem import BoundProblem, by_face, repeatability
 from casacal.fit.kernel_rows import constraint_set
 from casacal.fit.methods import minimises
 from casacal.model.constraint import Constraint
 from casacal.uncertainty.moves import prior_scatter
-from casacal.uncertainty.noise import is_usual, repeats_to
+from casacal.uncertainty.noise import is_usual
 from casacal.uncertainty.tip_error import spread_rms
 from casacal.wording import capital, chance, counted, figures, listed, lower, mm, sentence, shortened, sized, times
 
@@ -53,6 +53,8 @@ TOO_LOOSE = 1e-3
 """Chance below which a drawn arm that misses so little contradicts its priors, and these must not decide."""
 USELESS = 20.0  # mm; an arm as drawn and a tool held against a rule err by less, so such a tip is not calibrated
 LITTLE_TURNED = 20.0  # degrees between postures below which a tool is hardly seen
+BROKEN = 0.4e-3  # rad by which one joint may differ from touch to touch in an arm that is worth calibrating
+MEND = "have it mended, then measure again"
 MEMBER = 1e-3
 """Part of a direction's length above which a parameter takes part in it."""
 LEAST_SHOWN = 0.01  # millimetres below which nobody asks how little a tip errs
@@ -202,7 +204,11 @@ def _noise(calibration: Calibration) -> Iterator[Doubt]:
     ratio, low, high = noise.ratio, noise.low, noise.high
     if (low <= NOISE_BAND[1] and high >= NOISE_BAND[0]) or (ratio < 1 and errors_are_shared(fit)):
         return
-    if is_usual(fit, NOISE_BAND[1]):
+    joint, rad = repeatability(fit.scale)
+    if joint:
+        said = f"{sentence(_loose(joint, rad))} Touches that see it count less, and every target errs by it as well."
+        yield Doubt(f"joint {joint} is loose", said, MEND)
+    if is_usual(fit, NOISE_BAND[1]) or (joint and max(by_face(fit.scale).values(), default=1.0) <= NOISE_BAND[1]):
         return
     said = f"The residuals are {ratio:.2f} times the stated noise (95 % interval {low:.2f} to {high:.2f})"
     if ratio < 1:
@@ -220,7 +226,7 @@ def _noise(calibration: Calibration) -> Iterator[Doubt]:
             "repeatability, transmission error of the motors' gears (state the gear ratios), a face that is not flat, "
             f"a tool that is not where the problem file says; {_what_check_says(calibration)}."
         )
-        if (rad := repeats_to(fit)) > 0:
+        if rad > 0 and not joint:
             advice += f" The pattern fits a joint repeatability of {sized(rad, 'rad')}."
     else:
         advice = "The standard deviations are too small by about that factor. Raise noise_std, or find the cause."
@@ -229,6 +235,20 @@ def _noise(calibration: Calibration) -> Iterator[Doubt]:
         f"{said}. Either the noise is larger than stated, or the model leaves something out. {advice}",
         REPEAT if calibration.suspicious else "",
     )
+
+
+def _loose(joint: int, rad: float) -> str:
+    """A clause on a joint that alone does not repeat."""
+    return (
+        f"joint {joint} does not repeat: it errs by {sized(rad, 'rad')} (standard deviation) from touch to touch, as "
+        "with play in its gear, which no calibration removes"
+    )
+
+
+def broken(calibration: Calibration) -> str:
+    """Why an arm must be mended before it is calibrated; empty where no joint is as loose as that."""
+    joint, rad = repeatability(calibration.fit.scale)
+    return f"{_loose(joint, rad)}; {MEND}" if joint and rad > BROKEN else ""
 
 
 def _places_hardly_known(calibration: Calibration) -> Iterator[Doubt]:
@@ -367,6 +387,8 @@ def _expected(calibration: Calibration) -> str:
 
 def _against(calibration: Calibration) -> list[tuple[str, str]]:
     """Reasons to refuse a result: for each a clause for the verdict's sentence, and a full sentence."""
+    if clause := broken(calibration):  # whose rows look wrong in other ways, too
+        return [(clause, sentence(clause))]
     # what is held as drawn, or certified of another arm, may look like wrong samples
     looks = (certificate_contradicted, held_as_drawn, earlier_contradicted, _out_of_reach)
     found = [(clause, sentence(clause)) for look in looks if (clause := look(calibration))]

@@ -66,7 +66,9 @@ def _noise(part: Mapping[str, Any]) -> NoiseFound:
         stated, used = float(face["stated_mm"]), float(face["used_mm"])
         faces[name] = FaceNoise(stated, used, float(face.get("without_joints_mm", used)))  # lacking in older files
     ratio, low, high = (_number(part.get(key)) for key in ("ratio", "low", "high"))
-    return NoiseFound(ratio, low, high, float(part.get("joints_rad") or 0.0), FrozenMapping(faces))
+    return NoiseFound(
+        ratio, low, high, float(part.get("joints_rad") or 0.0), int(part.get("loose_joint") or 0), FrozenMapping(faces)
+    )
 
 
 def _effects(part: Mapping[str, Any]) -> EffectsFound:

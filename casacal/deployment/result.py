@@ -99,12 +99,16 @@ class FaceNoise(Value):
 
 @dataclass(frozen=True, eq=False)
 class NoiseFound(Value):
-    """Noise over stated noise with its 95 % interval, noise by face, and joint repeatability, rad."""
+    """Noise over stated noise with its 95 % interval, noise by face, and joint repeatability, rad.
+
+    loose_joint: the number of the joint that alone does not repeat, from 1; 0 where all are alike.
+    """
 
     ratio: float
     low: float
     high: float
     joints_rad: float
+    loose_joint: int
     by_face: Mapping[str, FaceNoise]
 
 

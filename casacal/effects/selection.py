@@ -26,7 +26,7 @@ from casacal.model.problem import Problem
 from casacal.uncertainty.evidence import NormalEquations, Sizes, effect_sizes, evidence, normal_equations
 from casacal.uncertainty.figures import HALF_WEIGHT, rms
 from casacal.uncertainty.fresh_rows import FreshRows, chance, covariance_root
-from casacal.uncertainty.noise import WORTH, beforehand, joints_err, with_joints
+from casacal.uncertainty.noise import WORTH, beforehand, erring_joints, with_joints
 from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 from casacal.values import Array, Index
 from casacal.wording import sized
@@ -122,11 +122,16 @@ class _Linear:
         Joint repeatability comes on top of the stated noise; it is not sought unless `least` is one.
         """
         best = self.best(least)
-        faces = len(by_face(best.rows.scale))
-        faces_differ = faces > 1  # some of which see more of the joints than others
-        if least != 1.0 or not (faces_differ or joints_err(best.rows, self.x, best.equations)):
+        if least != 1.0:
             return best.rows
-        parts = [(way, normal_equations(way, self.x)) for way in with_joints(self.ways[0][0], best.rows)]
+        factors, even, equations = by_face(best.rows.scale), best.rows, best.equations
+        faces = len(factors)
+        if faces_differ := faces > 1:  # some of which see more of the joints than others
+            even = even.with_noise({OTHERS: rms(np.array([*factors.values()])), **of_repeats(even.scale)})
+            equations = normal_equations(even, self.x)
+        joints = erring_joints(even, self.x, equations)
+        joints = [0, *joints] if faces_differ and 0 not in joints else joints
+        parts = [(way, normal_equations(way, self.x)) for way in with_joints(self.ways[0][0], best.rows, joints)]
         if not parts:
             return best.rows
         looks = [self._sizes(*part, least, start=best.times, search=False) for part in parts]

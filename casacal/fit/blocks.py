@@ -84,13 +84,22 @@ class Block:
         return rows_by_code(self.pattern, len(self.slots))
 
     @cached_property
-    def joint_noise(self) -> Array:
-        """Standard deviation (N, m) of each residual at the nominal where every joint errs by one radian of its own."""
-        return self.at_nominal(self.model.columnwise("joint_noise"))
+    def joint_slopes(self) -> Array:
+        """Derivative (N, m, joints) of each residual at the nominal by each joint, per rad or its equivalent in mm."""
+        joints, m = self.samples.joints.shape[1], self.model.components
+        return self.at_nominal(self.model.columnwise("joint_slopes"), m * joints).reshape(-1, m, joints)
 
-    def at_nominal(self, function: Columnwise) -> Array:
-        """Values (N, m) of a function of one row at the nominal."""
-        found = np.empty((len(self.samples), self.model.components))
+    def joint_noise(self, joint: int = 0) -> Array:
+        """Standard deviation (N, m) of each residual where every joint errs by one radian of its own, or one alone.
+
+        joint: its number, from 1.
+        """
+        slopes = self.joint_slopes if joint == 0 else self.joint_slopes[..., joint - 1 : joint]
+        return np.asarray(np.sqrt((slopes**2).sum(axis=2)))
+
+    def at_nominal(self, function: Columnwise, width: int | None = None) -> Array:
+        """Values (N, m) of a function of one row at the nominal; width: how many values a row has, m by default."""
+        found = np.empty((len(self.samples), self.model.components if width is None else width))
         for constant, samples in zip(self.constants, self.by_pattern, strict=True):
             for rows in np.array_split(samples, 1 + samples.size // TOGETHER):
                 found[rows] = function(np.zeros(self.columns.shape[1]), constant, self.rows(rows))

@@ -43,12 +43,15 @@ SHARED = "\0shared"
 """Stands for the part of the noise's variance that repeated touches share; no label holds a zero byte."""
 
 REPEATABILITY = "\0joints"
-"""Stands for what joints do not repeat, rad (`PER_RAD` mm of a sliding one are one), on top of the rest."""
+"""Stands for what joints do not repeat, rad (`PER_RAD` mm of a sliding one are one), on top of the rest.
+
+With a number behind it, from 1, it is that joint alone, which is loose.
+"""
 
 
 def by_face(scale: Mapping[str, float]) -> dict[str, float]:
     """The factors of faces alone."""
-    return {name: value for name, value in scale.items() if name not in (SHARED, REPEATABILITY)}
+    return {name: value for name, value in scale.items() if not name.startswith((SHARED, REPEATABILITY))}
 
 
 def of_repeats(scale: Mapping[str, float]) -> dict[str, float]:
@@ -58,7 +61,13 @@ def of_repeats(scale: Mapping[str, float]) -> dict[str, float]:
 
 def without_joints(scale: Mapping[str, float]) -> dict[str, float]:
     """The problem without joint repeatability."""
-    return {name: value for name, value in scale.items() if name != REPEATABILITY}
+    return {name: value for name, value in scale.items() if not name.startswith(REPEATABILITY)}
+
+
+def repeatability(scale: Mapping[str, float]) -> tuple[int, float]:
+    """The number of the joint that does not repeat, 0 for all alike, and by how much, rad; zeros for none."""
+    found = ((name.removeprefix(REPEATABILITY), rad) for name, rad in scale.items() if name.startswith(REPEATABILITY))
+    return next(((int(number or 0), rad) for number, rad in found), (0, 0.0))
 
 
 def times(scale: Mapping[str, float], factor: float) -> dict[str, float]:
@@ -290,10 +299,10 @@ class BoundProblem(LeastSquares):
 
     def _scaled(self, scale: Mapping[str, float]) -> tuple[Block, ...]:
         """Blocks whose noise is what was stated times the factor of each row, with what joints do not repeat."""
-        whole, joints, found = self.noise_factors(scale), scale.get(REPEATABILITY, 0.0), []
+        whole, (joint, rad), found = self.noise_factors(scale), repeatability(scale), []
         for i, block in enumerate(self.blocks):
             noise = block.noise * whole[self.sample_rows(i)].reshape(block.noise.shape)
-            found.append(replace(block, noise=np.hypot(noise, joints * block.joint_noise) if joints > 0 else noise))
+            found.append(replace(block, noise=np.hypot(noise, rad * block.joint_noise(joint)) if rad > 0 else noise))
         return tuple(found)
 
     @property
@@ -396,10 +405,9 @@ class BoundProblem(LeastSquares):
         """Standard deviation (rows,) of each residual at the nominal, in its unit."""
         return np.concatenate([block.noise.ravel() for block in self.blocks])
 
-    @cached_property
-    def joint_noise(self) -> Array:
-        """Residual noise where every joint errs independently by one radian, and nothing else does."""
-        return np.concatenate([block.joint_noise.ravel() for block in self.blocks])
+    def joint_noise(self, joint: int = 0) -> Array:
+        """Residual noise (rows,) where every joint errs independently by one radian, or one alone by its number."""
+        return np.concatenate([block.joint_noise(joint).ravel() for block in self.blocks])
 
     def tips(self, x: Array, joints: Array, instrument: int = 0) -> Array:
         """Tips (N, 3; mm) at joint values (N, n; rad, mm) and reading zero."""

@@ -294,11 +294,11 @@ class RowModel:
         return row_function(name, [self._trace.z, self._trace.c, self._trace.d], list(outputs))
 
     @cached_property
-    def joint_noise(self) -> ca.Function:
-        """Standard deviation (m) of e where joints alone err, independently, by 1 rad or its equivalent in mm."""
+    def joint_slopes(self) -> ca.Function:
+        """Derivative of e by each joint, row by row (m * joints), per 1 rad or its equivalent in mm."""
         traced = self._trace
         by_joint = ca.jacobian(traced.residual, traced.q) @ ca.diag(ca.DM(per_radian(traced.robot)))
-        return self._made("joint_noise", ca.sqrt(ca.sum2(by_joint**2)))
+        return self._made("joint_slopes", ca.vec(by_joint.T))
 
     @cached_property
     def tip_jacobian(self) -> ca.Function:

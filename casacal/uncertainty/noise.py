@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from casacal.data.repeats import Repeats
-from casacal.fit.bound_problem import OTHERS, REPEATABILITY, SHARED, BoundProblem, by_face, of_repeats
+from casacal.fit.bound_problem import OTHERS, REPEATABILITY, SHARED, BoundProblem, by_face, of_repeats, repeatability
 from casacal.fit.least_squares import Result
 from casacal.fit.lm import lm
 from casacal.kernels.losses import Loss
@@ -230,6 +230,8 @@ EXPECTED = 15e-6
 """Joint repeatability to expect of an industrial arm, rad; 15 to 30 urad are usual, some 0.05 mm at the tip."""
 
 DOUBT = 2.5  # times by which that may well be off
+LOOSE, LOOSE_DOUBT = 300e-6, 3.0  # of one joint with play in its gear, rad, and times by which that may be off
+RARE = -math.log(300)  # one arm of fifty has such a joint, and it is one of six
 KNOWN = 1.3  # times by which the rest of the noise may well exceed what was stated, where the joints explain the noise
 
 PARTS = (0.5, 0.8, 1.0, 1.2)
@@ -238,6 +240,8 @@ PARTS = (0.5, 0.8, 1.0, 1.2)
 WORTH_A_LOOK = 1.0
 """Standard deviations by which touches that see more of the joints must err more, for more to be tried."""
 
+LOOSE_WORTH_A_LOOK = 3.0  # likewise for one joint alone, which nobody suspects without a reason
+
 WORTH = 2.0
 """Gain in the logarithm of the likelihood from which noise that is alike for all rows is put down to the joints."""
 
@@ -245,56 +249,60 @@ SMALLEST = 1e-3  # part of a row's variance that its own residual must hold to b
 MOST_ROWS = 4096  # rows, evenly over all, at which is looked whether more should be tried
 
 
-def joints_err(bound: BoundProblem, x: Array, equations: NormalEquations) -> bool:
-    """Whether rows that see more of the joints may err more than others where a fit stands.
+def erring_joints(bound: BoundProblem, x: Array, equations: NormalEquations) -> list[int]:
+    """Joints that may err more than other noise says where a fit stands: 0 for all alike, and one alone by its number.
 
     A score test of the variance: squares of what is left, over what is expected of them, against g^2 / noise^2. bound:
     with effects at their sizes. equations: of its rows, linearised at x (n,).
     """
     held = posterior_covariance(equations.information, bound.prior_information)
     if not np.isfinite(held).all():  # something that neither rows nor prior hold: what is left of a row is not known
-        return False
+        return []
     step = held @ equations.toward - (x - bound.x0)
     count = len(bound.measured)
     few = np.unique(np.linspace(0, count - 1, min(count, MOST_ROWS)).astype(np.intp))
     part = bound if few.size == count else bound.take(few)
     jacobian = part.jacobian(x)
     free = 1.0 - np.einsum("ij,ij->i", jacobian @ held, jacobian)
-    share = (part.joint_noise / part.noise) ** 2
     judged = free > SMALLEST
     if not judged.any():
-        return False
+        return []
     squares = (part.residual(x) + jacobian @ step)[judged] ** 2 / free[judged]
-    apart = share[judged] - share[judged].mean()
-    spread = math.sqrt(2 * float(apart @ apart))
-    return spread > 0 and float(apart @ squares) > WORTH_A_LOOK * float(squares.mean()) * spread
+    scores = []
+    for joint in range(1 + part.blocks[0].samples.joints.shape[1]):
+        share = ((part.joint_noise(joint) / part.noise) ** 2)[judged]
+        apart = share - share.mean()
+        spread = math.sqrt(2 * float(apart @ apart)) * float(squares.mean())
+        scores.append(float(apart @ squares) / spread if spread > 0 else 0.0)
+    alone = [j for j in (1 + np.argsort(scores[1:])[::-1][:2]).tolist() if scores[j] > LOOSE_WORTH_A_LOOK]
+    return [0] * (scores[0] > WORTH_A_LOOK) + alone
 
 
-def with_joints(whole: BoundProblem, found: BoundProblem) -> Iterator[BoundProblem]:
-    """Copies in which parts of the noise found beyond the stated are attributed to the joints."""
-    joint_noise, scale = whole.joint_noise, found.scale
+def with_joints(whole: BoundProblem, found: BoundProblem, joints: Sequence[int]) -> Iterator[BoundProblem]:
+    """Copies in which parts of the noise found beyond the stated are put down to all joints (0) or to one alone."""
+    scale = found.scale
     shared = of_repeats(scale)
     level, own = (float((each.noise**2).mean()) for each in (found, found.with_noise(shared)))
-    if not (level > own and np.isfinite(joint_noise).all() and (joint_noise > 0).any()):
-        return
-    for part in PARTS:
-        joints = part * (level - own)
-        size = math.sqrt(joints / float((joint_noise**2).mean()))
-        yield whole.with_noise({OTHERS: math.sqrt(max(level - joints, own) / own), REPEATABILITY: size, **shared})
-
-
-def repeats_to(bound: BoundProblem) -> float:
-    """Joint repeatability as found, rad; zero where it is indistinguishable from other noise."""
-    return bound.scale.get(REPEATABILITY, 0.0)
+    for joint in joints if level > own else ():
+        square = float((whole.joint_noise(joint) ** 2).mean())
+        for part in PARTS if 0 < square < math.inf else ():
+            of_joints = part * (level - own)
+            rest = math.sqrt(max(level - of_joints, own) / own)
+            key = f"{REPEATABILITY}{joint or ''}"
+            yield whole.with_noise({OTHERS: rest, key: math.sqrt(of_joints / square), **shared})
 
 
 def is_usual(bound: BoundProblem, most: float) -> bool:
     """Whether a usual joint repeatability explains the noise, with other noise at most `most` times the stated."""
-    return 0 < repeats_to(bound) <= EXPECTED * DOUBT and max(by_face(bound.scale).values(), default=1.0) <= most
+    joint, rad = repeatability(bound.scale)
+    rest = max(by_face(bound.scale).values(), default=1.0)
+    return joint == 0 and 0 < rad <= EXPECTED * DOUBT and rest <= most
 
 
 def beforehand(bound: BoundProblem) -> float:
-    """Logarithm of the log-normal prior density of such noise, relative to its mode."""
-    joints = math.log(repeats_to(bound) / EXPECTED) / math.log(DOUBT)
+    """Logarithm of the prior density of such noise, relative to its mode where all joints err alike."""
+    joint, rad = repeatability(bound.scale)
+    usual, doubt, rare = (LOOSE, LOOSE_DOUBT, RARE) if joint else (EXPECTED, DOUBT, 0.0)
+    joints = math.log(rad / usual) / math.log(doubt)
     rest = math.log(max(by_face(bound.scale).values(), default=1.0)) / math.log(KNOWN)
-    return -(joints**2 + rest**2) / 2
+    return rare - (joints**2 + rest**2) / 2

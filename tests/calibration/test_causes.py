@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from casacal import DialOnPlane, Problem, bind, calibrate, check, deg, load_problem, simulate, tool_point
+from casacal import DialOnPlane, Problem, bind, calibrate, check, deg, load_problem, plan, simulate, tool_point
 from casacal.calibration import cause as causes
 from casacal.calibration.cause import _Attempt, _looked_at_closely, _simplest, explained, residuals_as_drawn
 from casacal.calibration.faults import tool_elsewhere
@@ -14,6 +14,7 @@ from casacal.calibration.finding import Fault, Undone, misfit
 from casacal.calibration.verdict import verdict_of
 from casacal.simulation.cell import Cell, Face
 from studies.cell_mistakes import PROBLEMS, planted, simulated
+from studies.true_cell import World
 
 ROWS = 60
 REPLACE = dataclasses.replace
@@ -59,6 +60,37 @@ def test_one_mistake_gives_one_error(scara, mistake, about):
     if mistake == "coupling missing":
         lead = found.cause.split("by ")[1].split(" mm per turn")[0]
         assert float(lead) == pytest.approx(20.0, abs=0.1)
+
+
+def at_one_reading(problem, samples, reading):
+    """The planned rows moved, by least joint motion, to where the drawn arm would read the same everywhere."""
+    joints, columns, bound = samples.joints.copy(), {"reading": np.full(len(samples), reading)}, bind(problem, samples)
+
+    def off(at):
+        return bound.on(REPLACE(samples, joints=at, columns=columns)).plain_residual(bound.x0)
+
+    for _ in range(8):
+        here = off(joints)
+        slopes = np.stack([(off(joints + step) - here) / 1e-6 for step in np.eye(joints.shape[1]) * 1e-6], axis=1)
+        joints -= here[:, None] * slopes / (slopes**2).sum(axis=1)[:, None]
+    return REPLACE(samples, joints=joints, columns=columns)
+
+
+def test_smaller_readings_do_not_explain_a_larger_noise(hsr):
+    """Driven to as planned, at mid-travel everywhere, any fraction of the readings is those of a better arm and dial.
+
+    Readings that are divided by 25.4 leave a 25th of the misfit, as noise of four times what was stated does.
+    """
+    route = plan(hsr.problem, hsr.cell, touches=60, pool=400, starts=1, check=0.0, seed=3)
+    route = REPLACE(route, samples=at_one_reading(hsr.problem, route.samples, 5.0))
+    right = World(hsr.problem, route, seed=2, noise=4.0, faces=(1e-3, 1e-6)).samples
+    assert misfit(hsr.problem, right) > 2
+    in_inches, too_large = (
+        REPLACE(right, columns={"reading": right.columns["reading"] * factor}) for factor in (1 / 25.4, 25.4)
+    )
+    assert misfit(hsr.problem, in_inches) < 1
+    assert only(hsr.problem, right).about == "misfit"
+    assert only(hsr.problem, too_large).about == "unit of the readings"
 
 
 @pytest.mark.long
