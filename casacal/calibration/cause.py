@@ -14,7 +14,7 @@ from itertools import chain
 
 import numpy as np
 
-from casacal.calibration.before_fit import OUT_OF_LIMITS, OUTSIDE, outside
+from casacal.calibration.before_fit import OUT_OF_LIMITS, OUTSIDE, WRONG_SIGN, outside
 from casacal.calibration.conventions import patterns
 from casacal.calibration.faults import (
     ALIKE,
@@ -122,10 +122,11 @@ def explained(
 
 
 def cause_of_rows(problem: Problem, samples: Samples, off: Rows) -> Finding | None:
-    """What rows that lie off (N,) have in common: a slip by a row, their unit, or a joint that hangs."""
+    """What rows that lie off (N,) have in common: a slip by a row, a unit, a joint that hangs, or the dial's sign."""
     tail = off.sum() >= FEW_OFF and off[int(np.argmax(off)) :].mean() >= MOSTLY
     nothing = _Attempt((), Undone(problem, samples), math.inf)
-    rows = chain(some_radians(problem, samples), hanging(samples)) if off.any() else ()
+    signs = (fault for fault in suspected(problem, samples) if fault.about == WRONG_SIGN)
+    rows = chain(some_radians(problem, samples), hanging(samples), signs) if off.any() else ()
     for fault in chain(pairings(samples) if tail else (), rows):
         for tried in _one(fault, nothing):
             fitted = robust_fit(bind(problem, tried.undone.samples))

@@ -8,28 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from casacal.calibration.agreement import disagreement, not_the_same
-from casacal.calibration.before_fit import (
-    NO_LENGTH,
-    OUTSIDE,
-    WRONG_SIGN,
-    enough_rows,
-    in_metres,
-    lost_labels,
-    lost_targets,
-    odd_labels,
-    outside,
-    repeated,
-    rounded,
-    setup_findings,
-    sign_before_fit,
-    upside_down,
-)
+from casacal.calibration.before_fit import OUTSIDE, WRONG_SIGN, odd_labels, outside, repeated, rounded, sign_before_fit
 from casacal.calibration.cause import MisfitCause, cause_of_rows, explained
 from casacal.calibration.conventions import CONVENTIONS
 from casacal.calibration.faults import ALIKE, EXPLAINED, MOVED, SUSPICIOUS, flips
 from casacal.calibration.finding import Finding, misfit, quick_fit, size_of
 from casacal.calibration.midway import changed_midway, labels_exchanged
-from casacal.calibration.mirror import mirror_image
+from casacal.calibration.mirror import DIAL_WAY, either_way, mirror_image
 from casacal.calibration.numbers import tool_elsewhere_at, tool_keys, without_its_likes, wrong_number, wrong_scale
 from casacal.calibration.set_aside import (
     gross,
@@ -37,6 +22,15 @@ from casacal.calibration.set_aside import (
     robust_fit,
     single_rows,
     studentised_outliers,
+)
+from casacal.calibration.set_up import (
+    NO_LENGTH,
+    enough_rows,
+    in_metres,
+    lost_labels,
+    lost_targets,
+    setup_findings,
+    upside_down,
 )
 from casacal.data.repeats import without_copies
 from casacal.data.samples import Measurements, Samples
@@ -192,7 +186,7 @@ def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding
     if cause is not None:  # it also explains single rows that lie off
         findings = _with_cause(findings, cause, some, few)
         unsure = cause.finding.about == CONVENTIONS and not confirmed
-        return [*findings, *(_image(bind(cause.undone.problem, cause.undone.samples)) if unsure else [])]
+        return [*findings, *(_image(bind(cause.undone.problem, cause.undone.samples), confirmed) if unsure else [])]
     findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some)]
     findings += stray if base <= EXPLAINED else []  # else the other rows miss as well, and these are not the cause
     if base > SUSPICIOUS:
@@ -206,7 +200,7 @@ def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding
     findings = _with_cause_of_rows(problem, samples, findings)
     if all(finding.severity != "error" for finding in findings):
         findings += effect_findings(drawn, few)
-        findings += [] if confirmed else _image(rest)
+        findings += _image(rest, confirmed)
     return findings
 
 
@@ -327,10 +321,11 @@ def _rows(bound: BoundProblem) -> list[Finding]:
     return [Finding("warning", "noise", cause, fix)]
 
 
-def _image(bound: BoundProblem) -> list[Finding]:
-    """A remark where a mirror image of the arm explains all rows as well."""
-    image = mirror_image(bound)
-    return [] if image is None else [Finding("remark", "mirror image", *image.cause_and_fix)]
+def _image(bound: BoundProblem, confirmed: bool) -> list[Finding]:
+    """What explains all rows as well: a mirror image of the arm, unless that is settled; a dial that counts back."""
+    image = None if confirmed else mirror_image(bound)
+    found = [] if image is None else [Finding("remark", "mirror image", *image.cause_and_fix)]
+    return [*found, Finding("warning", "direction of the dial", *DIAL_WAY)] if either_way(bound) else found
 
 
 def _of_several(problem: Problem, measured: Measurements, confirmed: bool) -> list[Finding]:
@@ -357,5 +352,5 @@ def _of_several(problem: Problem, measured: Measurements, confirmed: bool) -> li
         except CasacalError:  # half the rows of an instrument: no single ones
             aside = ()
         found += [*aside, *contradictions(bound, bound.measured)]
-        found += [] if confirmed else _image(bound)  # what one instrument alone leaves open, another may tell
+        found += _image(bound, confirmed)  # what one instrument alone leaves open, another may tell
     return found

@@ -1,4 +1,4 @@
-"""Mirror images of an arm, which no touch can tell from it.
+"""Mirror images of an arm, which no touch can tell from it, and readings that fit either way round.
 
 Faces, spikes and wires tell distances, and a mirror keeps those. Many arms are their own image: if the axes lie in one
 plane in some posture, joints 1, 4 and 6 counted the other way reflect every tip; others need half turns besides.
@@ -14,9 +14,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from casacal.data.samples import Measurements
 from casacal.deployment.result import MirrorImage
 from casacal.fit.bound_problem import BoundProblem
 from casacal.fit.lm import lm
+from casacal.model.instrument import readings_within
 from casacal.model.robot import Robot, inside_limits
 from casacal.uncertainty.tip_error import workspace_joints
 from casacal.values import Array
@@ -28,6 +30,8 @@ APART = 1.0  # mm by which a rigid motion must miss the image; an arm in a plane
 EQUAL = 12.0  # difference of the costs below which rows and priors do not tell one from the other: odds of e^12
 IMAGE_ROWS = 1000  # of the samples that are fitted: an image fits as well, or is off by thousands
 MORE_STEPS = 20  # than the arm itself takes, after which a pattern is no image: an image is as near to its drawing
+OF_A_ROW = 4.0  # cost that a further row may add
+SCATTER = 5.0  # noises by which readings must differ for their direction to matter
 MOST_FITS = 12  # patterns that are fitted, the simplest first
 
 
@@ -59,6 +63,39 @@ def mirror_image(fit: BoundProblem) -> MirrorImage | None:
             other_way, halves = (tuple(numbers[each].tolist()) for each in (signs[k] < 0, offsets[k] > 0))
             return MirrorImage(other_way, halves, float(moved_off[k]))
     return None
+
+
+def either_way(fit: BoundProblem, every: Measurements | None = None) -> bool:
+    """Whether readings of a plunger fit as well where they are counted the other way, from their mean or mid-travel.
+
+    So where every posture was driven to as the drawn arm would read the same there: what readings then tell are the
+    errors of the arm, and the other way round their opposite, which makes the arm err by twice what it does as drawn.
+    every: rows that the other way would have to fit, where some of them were set aside.
+    """
+    fit, own = fit.thinned(IMAGE_ROWS) if every is None else fit, None
+    rows = fit.measured if every is None else every
+    for i, instrument in enumerate(fit.problem.instruments):
+        sets, probe = list(rows.sets), instrument.probe
+        if probe is None or probe.column is None:
+            continue
+        read = sets[i].columns[probe.column]
+        if read.std() <= SCATTER * max(probe.noise_std, probe.contact_std):
+            continue  # then it hardly matters
+        own = lm(fit) if own is None else own
+        for ends in (2 * np.median(read), sum(readings_within(probe.travel))):
+            sets[i] = replace(sets[i], columns={**sets[i].columns, probe.column: ends - read})
+            other = lm(fit.on(*sets), max_steps=own.steps + MORE_STEPS)
+            if other.converged and other.cost - own.cost <= EQUAL + OF_A_ROW * (len(rows) - len(fit.measured)):
+                return True
+    return False
+
+
+DIAL_WAY = (
+    "the touches do not tell in which direction the dial counts",
+    "were its sign wrong in the problem, the arm would err by twice what it does as drawn. Touch three places again "
+    "with the arm 1 mm nearer, and calibrate with these touches as well",
+)
+"""What is open where readings fit either way, and what it would mean and settles it."""
 
 
 def mirrors(robot: Robot) -> tuple[Array, Array]:

@@ -13,6 +13,7 @@ import numpy as np
 from casacal.calibration.before_fit import labels_alike, repeated
 from casacal.calibration.calibration import FAR, LACK_OF_FIT, Calibration, parts_of
 from casacal.calibration.finding import Finding
+from casacal.calibration.mirror import DIAL_WAY, either_way
 from casacal.calibration.motion import tip_extremes
 from casacal.calibration.numbers import SCALE, TOOL, without_its_likes
 from casacal.calibration.set_aside import OUTLIERS, robust_fit, studentised_outliers
@@ -88,7 +89,7 @@ def doubts(calibration: Calibration) -> list[Doubt]:
         return []
     drawn = calibration.earlier is None  # what is known beforehand is not the drawing
     return [
-        *(() if drawn else _since_earlier(calibration)),
+        *(_dial_way(calibration) if drawn else _since_earlier(calibration)),
         *_held_or_left_out(calibration),
         *(_far_parameters(calibration) if drawn else ()),
         *_samples(calibration),
@@ -96,6 +97,13 @@ def doubts(calibration: Calibration) -> list[Doubt]:
         *(_places_hardly_known(calibration) if drawn else ()),
         *_beside_the_geometry(calibration),
     ]
+
+
+def _dial_way(calibration: Calibration) -> Iterator[Doubt]:
+    """A doubt about the sign of a dial that no reading shows."""
+    if either_way(calibration.fit):
+        clause, rest = DIAL_WAY
+        yield Doubt(clause, f"{capital(clause)}: {rest}.", "touch three places again with the arm 1 mm nearer")
 
 
 def _since_earlier(calibration: Calibration) -> Iterator[Doubt]:
@@ -387,6 +395,10 @@ def _expected(calibration: Calibration) -> str:
 
 def _against(calibration: Calibration) -> list[tuple[str, str]]:
     """Reasons to refuse a result: for each a clause for the verdict's sentence, and a full sentence."""
+    every = Measurements.of(calibration.samples)
+    if calibration.aside and calibration.earlier is None and either_way(calibration.fit, every):
+        clause = "the dial counts the other way: with its sign reversed in the problem, no row would be set aside"
+        return [(clause, sentence(clause))]
     if clause := broken(calibration):  # whose rows look wrong in other ways, too
         return [(clause, sentence(clause))]
     # what is held as drawn, or certified of another arm, may look like wrong samples

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from measured_world import World, at_one_reading
 
 from casacal import DialOnPlane, Problem, bind, calibrate, check, deg, load_problem, plan, simulate, tool_point
 from casacal.calibration import cause as causes
@@ -14,7 +15,6 @@ from casacal.calibration.finding import Fault, Undone, misfit
 from casacal.calibration.verdict import verdict_of
 from casacal.simulation.cell import Cell, Face
 from studies.cell_mistakes import PROBLEMS, planted, simulated
-from studies.true_cell import World
 
 ROWS = 60
 REPLACE = dataclasses.replace
@@ -60,20 +60,6 @@ def test_one_mistake_gives_one_error(scara, mistake, about):
     if mistake == "coupling missing":
         lead = found.cause.split("by ")[1].split(" mm per turn")[0]
         assert float(lead) == pytest.approx(20.0, abs=0.1)
-
-
-def at_one_reading(problem, samples, reading):
-    """The planned rows moved, by least joint motion, to where the drawn arm would read the same everywhere."""
-    joints, columns, bound = samples.joints.copy(), {"reading": np.full(len(samples), reading)}, bind(problem, samples)
-
-    def off(at):
-        return bound.on(REPLACE(samples, joints=at, columns=columns)).plain_residual(bound.x0)
-
-    for _ in range(8):
-        here = off(joints)
-        slopes = np.stack([(off(joints + step) - here) / 1e-6 for step in np.eye(joints.shape[1]) * 1e-6], axis=1)
-        joints -= here[:, None] * slopes / (slopes**2).sum(axis=1)[:, None]
-    return REPLACE(samples, joints=joints, columns=columns)
 
 
 def test_smaller_readings_do_not_explain_a_larger_noise(hsr):

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import ROOT
+from measured_world import World, at_one_reading
 from scipy.spatial.transform import Rotation
 
 from casacal import (
@@ -25,13 +26,15 @@ from casacal import (
     lm,
     load,
     load_problem,
+    plan,
     simulate,
     tool_point,
 )
-from casacal.calibration.mirror import mirror_image, mirrors, misfits
+from casacal.calibration.brief import next_step
+from casacal.calibration.mirror import either_way, mirror_image, mirrors, misfits
 from casacal.calibration.result_json import image_words
 from casacal.cli.main import main
-from casacal.data.samples import Measurements
+from casacal.data.samples import Measurements, joined
 from casacal.errors import ProblemError
 
 TOOL = tool_point(0, 0, 120, prior_std=0.3)
@@ -261,3 +264,47 @@ def test_an_image_that_fits_better_is_named_too():
     assert lm(turned).cost > lm(fit).cost + 12
     assert mirror_image(fit) is None
     assert mirror_image(turned).reversed == (1, 4, 6)
+
+
+@pytest.fixture(scope="module")
+def read_alike(hsr):
+    """A true arm that was driven to where the drawn one reads 5 mm everywhere, its touches, and three 1 mm nearer."""
+    route = plan(hsr.problem, hsr.cell, touches=60, pool=400, starts=1, check=0.0, seed=3)
+    route = replace(route, samples=at_one_reading(hsr.problem, route.samples, 5.0))
+    world = World(hsr.problem, route, seed=2, faces=(1e-3, 1e-6))
+    near = at_one_reading(hsr.problem, world.samples, 4.0).joints[:3] - route.samples.joints[:3]
+    samples = world.samples.take(np.arange(3))
+    joints = samples.joints + near
+
+    def off(reading):
+        return world.bound.on(replace(samples, joints=joints, columns={"reading": reading})).plain_residual(world.x)
+
+    at_zero, at_one = off(np.zeros(3)), off(np.ones(3))
+    nearer = replace(samples, joints=joints, columns={"reading": np.round(-at_zero / (at_one - at_zero), 3)})
+    return world.samples, joined(world.samples, nearer)
+
+
+def test_a_sign_of_the_dial_that_no_reading_shows_is_said_and_settled_by_three_touches(hsr, read_alike):
+    """Right or wrong, every row fits; the touches that the verdict asks for tell, and nothing passes for calibrated."""
+    touches, and_nearer = read_alike
+    wrong = [replace(some, columns={"reading": 10 - some.columns["reading"]}) for some in read_alike]
+    for some in (touches, wrong[0]):
+        made = calibrate(hsr, some, reference=False)
+        assert made.verdict.level == "use with care"
+        assert "do not tell in which direction the dial counts" in made.verdict.words
+        assert next_step(made, made.verdict).startswith("touch three places again with the arm 1 mm nearer")
+        warned = [each.about for each in check(hsr.problem, some) if each.severity == "warning"]
+        assert warned == ["direction of the dial"]
+    assert calibrate(hsr, and_nearer, reference=False).verdict.level == "calibrated"
+    settled = calibrate(hsr, wrong[1], reference=False).verdict
+    assert settled.level == "do not use"
+    assert "The dial counts the other way" in settled.reasons[0]
+
+
+@pytest.mark.parametrize("name", ["ur5", "hsr_jr680"])
+def test_touches_of_a_plan_tell_the_direction_of_the_dial(name):
+    source = load_problem(ROOT / "problems" / name)
+    route = plan(source.problem, source.cell, touches=50, pool=300, starts=1, check=0.0, seed=1)
+    world = World(source.problem, route, seed=4, faces=(1e-3, 1e-6))
+    assert not either_way(bind(source.problem, world.samples))
+    assert not either_way(bind(source.problem, simulate(source.problem, source.cell, samples=60, seed=2).samples))
