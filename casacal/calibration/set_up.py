@@ -1,4 +1,4 @@
-"""Checks of a set-up before any fit: what is missing, too few rows, faces that are small or parallel, arms in metres."""
+"""Checks of a set-up before any fit: what is missing, too few rows, small or parallel faces, an arm in metres."""
 
 from __future__ import annotations
 
