@@ -12,9 +12,11 @@ from casacal.calibration.calibration import Calibration
 from casacal.calibration.motion import tip_error
 from casacal.calibration.result_json import image_words, verdict_lines
 from casacal.calibration.verdict import (
+    AS_DRAWN,
     MEND,
     VERIFY,
     broken,
+    counts_back,
     doubts,
     earlier_contradicted,
     held_as_drawn,
@@ -86,6 +88,8 @@ def _best(calibration: Calibration) -> Cure | None:
 
 
 def _repair(calibration: Calibration, check: str) -> str:
+    if counts_back(calibration):
+        return "reverse the sign of the dial in the problem (--set sign=-1 or sign=1 tries it), and calibrate again."
     if broken(calibration):
         return f"{MEND}."
     reference, wrong = calibration.reference, wrong_with_samples(calibration)
@@ -104,8 +108,9 @@ def _repair(calibration: Calibration, check: str) -> str:
         if minimises(calibration.method):
             return f"run {check}; then compare the costs of --method lm and --method ipopt, and keep the lower one."
         return "use --method lm or sckf-lm, which go to the minimum."
-    if priors_contradicted(calibration) and not unexplained(calibration):
-        return "state priors that fit the arm (--accuracy MM, --prior NAME=STD), and calibrate again."
+    if (clause := priors_contradicted(calibration)) and not unexplained(calibration):
+        look = "look whether these readings were measured; then " if clause.startswith(AS_DRAWN) else ""
+        return f"{look}state priors that fit the arm (--accuracy MM, --prior NAME=STD), and calibrate again."
     if math.isfinite(calibration.tip_std[1]):
         return f"run {check}, which looks closer at the samples."
     cure = _best(calibration)

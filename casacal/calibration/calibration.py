@@ -13,7 +13,7 @@ import numpy as np
 from casacal.calibration.before_fit import outside, rounded, sign_before_fit
 from casacal.calibration.finding import Finding
 from casacal.calibration.inputs import Reference
-from casacal.calibration.mirror import mirror_image
+from casacal.calibration.mirror import either_way, mirror_image
 from casacal.calibration.motion import Motion, Tried, among, sees_the_tip, used_arm
 from casacal.calibration.numbers import borne_out, priors_of, tool_elsewhere_at, wrong_number, wrong_scale
 from casacal.data.repeats import without_copies
@@ -194,6 +194,11 @@ class Calibration(Value):
         if self.earlier is not None:
             return self.earlier.mirror_image
         return None if self.source.confirmed else mirror_image(self.fit)
+
+    @cached_property
+    def either_way(self) -> bool:
+        """Whether the fitted rows leave open in which direction the dial counts."""
+        return self.earlier is None and either_way(self.fit)
 
     @cached_property
     def noise(self) -> Noise:

@@ -56,6 +56,7 @@ USELESS = 20.0  # mm; an arm as drawn and a tool held against a rule err by less
 LITTLE_TURNED = 20.0  # degrees between postures below which a tool is hardly seen
 BROKEN = 0.4e-3  # rad by which one joint may differ from touch to touch in an arm that is worth calibrating
 MEND = "have it mended, then measure again"
+AS_DRAWN = "the rows hardly differ from those of the arm as drawn: unless a gauge stood still, or they are a plan's, "
 MEMBER = 1e-3
 """Part of a direction's length above which a parameter takes part in it."""
 LEAST_SHOWN = 0.01  # millimetres below which nobody asks how little a tip errs
@@ -101,7 +102,7 @@ def doubts(calibration: Calibration) -> list[Doubt]:
 
 def _dial_way(calibration: Calibration) -> Iterator[Doubt]:
     """A doubt about the sign of a dial that no reading shows."""
-    if either_way(calibration.fit):
+    if calibration.either_way:
         clause, rest = DIAL_WAY
         yield Doubt(clause, f"{capital(clause)}: {rest}.", "touch three places again with the arm 1 mm nearer")
 
@@ -253,6 +254,12 @@ def _loose(joint: int, rad: float) -> str:
     )
 
 
+def counts_back(calibration: Calibration) -> bool:
+    """Whether rows that were set aside fit with all others where the dial counts the other way."""
+    open_way = calibration.aside and calibration.either_way
+    return bool(open_way) and either_way(calibration.fit, Measurements.of(calibration.samples))
+
+
 def broken(calibration: Calibration) -> str:
     """Why an arm must be mended before it is calibrated; empty where no joint is as loose as that."""
     joint, rad = repeatability(calibration.fit.scale)
@@ -395,8 +402,7 @@ def _expected(calibration: Calibration) -> str:
 
 def _against(calibration: Calibration) -> list[tuple[str, str]]:
     """Reasons to refuse a result: for each a clause for the verdict's sentence, and a full sentence."""
-    every = Measurements.of(calibration.samples)
-    if calibration.aside and calibration.earlier is None and either_way(calibration.fit, every):
+    if counts_back(calibration):
         clause = "the dial counts the other way: with its sign reversed in the problem, no row would be set aside"
         return [(clause, sentence(clause))]
     if clause := broken(calibration):  # whose rows look wrong in other ways, too
@@ -614,11 +620,13 @@ def priors_contradicted(calibration: Calibration) -> str:
     if math.isfinite(before) and now > as_drawn and scatter.chance_below(drawn["rmse_mm"]) < TOO_LOOSE:
         if calibration.noise.high < OVERSTATED:
             said = times(1 / calibration.noise.ratio)
-            return f"the stated noise is {said} times what the rows show, so that they hardly count; state it as it is"
+            planned = AS_DRAWN if drawn["rmse_mm"] < LEAST_SHOWN else ""
+            said = f"the stated noise is {said} times what the rows show"
+            return f"{planned}{said}, so that they hardly count; state it as it is"
         return (
-            f"the priors are too loose for this arm: they allow a tip error of {mm(before)} as drawn, but its "
-            f"residuals suggest about {mm(max(as_drawn, LEAST_SHOWN))}, which is less than these priors leave after "
-            "calibrating (--accuracy, --prior)"
+            f"{AS_DRAWN}the priors are too loose for this arm: they allow a tip error of {mm(before)} as drawn, but "
+            f"its residuals suggest about {mm(max(as_drawn, LEAST_SHOWN))}, which is less than these priors leave "
+            "after calibrating (--accuracy, --prior)"
         )
     if far <= FAR or now <= LEFT_TO_PRIORS * before:
         return ""

@@ -296,9 +296,20 @@ def test_a_sign_of_the_dial_that_no_reading_shows_is_said_and_settled_by_three_t
         warned = [each.about for each in check(hsr.problem, some) if each.severity == "warning"]
         assert warned == ["direction of the dial"]
     assert calibrate(hsr, and_nearer, reference=False).verdict.level == "calibrated"
-    settled = calibrate(hsr, wrong[1], reference=False).verdict
-    assert settled.level == "do not use"
-    assert "The dial counts the other way" in settled.reasons[0]
+    settled = calibrate(hsr, wrong[1], reference=False)
+    assert settled.verdict.level == "do not use"
+    assert "The dial counts the other way" in settled.verdict.reasons[0]
+    assert next_step(settled, settled.verdict).startswith("reverse the sign of the dial")
+
+
+def test_a_gauge_that_stood_still_is_asked_about_before_any_prior(hsr, read_alike):
+    """Every posture as planned and every reading the same: the arm as drawn, and nothing measured."""
+    for size in (0.0, 0.003):  # of what the gauge flickers by
+        reading = np.full(60, 5.0) + size * np.sin(np.arange(60.0) ** 2)
+        made = calibrate(hsr, replace(read_alike[0], columns={"reading": reading}), reference=False)
+        assert made.verdict.level == "do not use"
+        assert "unless a gauge stood still, or they are a plan's" in made.verdict.words
+        assert next_step(made, made.verdict).startswith("look whether these readings were measured")
 
 
 @pytest.mark.parametrize("name", ["ur5", "hsr_jr680"])

@@ -305,7 +305,7 @@ def test_an_arm_that_is_far_better_than_its_priors_stays_as_drawn(hsr, seed):
     good = calibrate(hsr.problem, in_cell(hsr, seed, error_scale=0.1))
     assert verdict_of(good).level == "do not use"
     assert "too loose" in verdict_of(good).words
-    assert next_step(good, verdict_of(good)).startswith("state priors that fit the arm")
+    assert next_step(good, verdict_of(good)).startswith("look whether these readings were measured; then state priors")
     told = casacal.scaled_to_accuracy(hsr.problem, 0.3)
     assert verdict_of(calibrate(told, in_cell(hsr, seed, error_scale=0.1))).level != "do not use"
 
