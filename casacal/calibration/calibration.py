@@ -226,7 +226,8 @@ class Calibration(Value):
         known = {each.words for each in found}
         trusted = [each.words.trusted for each in self.fit.problem.instruments if each.words.trusted not in known]
         telling = [each.within for each in found[:1] if each.left_mm > PART * tip]
-        return listed([noise, "priors", *dict.fromkeys(filter(None, trusted)), *telling])
+        way = ["the dial's sign"] if self.either_way else []
+        return listed([noise, "priors", *way, *dict.fromkeys(filter(None, trusted)), *telling])
 
     @cached_property
     def used_x(self) -> Array:

@@ -92,7 +92,7 @@ def either_way(fit: BoundProblem, every: Measurements | None = None) -> bool:
 
 DIAL_WAY = (
     "the touches do not tell in which direction the dial counts",
-    "were its sign wrong in the problem, the arm would err by twice what it does as drawn. Touch three places again "
+    "Were its sign wrong in the problem, the arm would err by twice what it does as drawn. Touch three places again "
     "with the arm 1 mm nearer, and calibrate with these touches as well",
 )
 """What is open where readings fit either way, and what it would mean and settles it."""

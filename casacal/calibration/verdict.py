@@ -104,7 +104,7 @@ def _dial_way(calibration: Calibration) -> Iterator[Doubt]:
     """A doubt about the sign of a dial that no reading shows."""
     if calibration.either_way:
         clause, rest = DIAL_WAY
-        yield Doubt(clause, f"{capital(clause)}: {rest}.", "touch three places again with the arm 1 mm nearer")
+        yield Doubt(clause, f"{capital(clause)}. {rest}.", "touch three places again with the arm 1 mm nearer")
 
 
 def _since_earlier(calibration: Calibration) -> Iterator[Doubt]:
