@@ -282,8 +282,8 @@ def _unexplained(problem: Problem, samples: Samples, base: float, findings: list
     tried += ["tool offset"] if tool_keys(problem) else []
     cause = f"{cause}, and no {listed(tried, 'or')} explains it"
     fix = (
-        "Check the robot's nominal values and the instrument's noise; compliance, backlash or a warped face can also "
-        "be the cause"
+        "Check the robot's nominal values and the instrument's noise; compliance, backlash, a loose joint or a warped "
+        "face can be the cause"
     )
     if base > EXPLAINED:  # more than any arm errs
         first = f"See that {listed(still)} was read anew in each row. " if still else ""
