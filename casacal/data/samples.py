@@ -21,7 +21,7 @@ import numpy as np
 
 from casacal.data.columns import MANY_ROWS, Columns, Dimension, Labels
 from casacal.data.text import UNSHOWN, Table, read_table
-from casacal.errors import SamplesError
+from casacal.errors import CasacalError, SamplesError, came
 from casacal.files import recover, write_text
 from casacal.values import EMPTY, Array, FrozenMapping, Index, Value, read_only, short
 from casacal.wording import html_table
@@ -133,6 +133,13 @@ def _renamed(header: Sequence[str], layout: Layout) -> dict[str, str]:
         if name in quantities and unit in UNITS[quantities[name]] and f"{name}_{unit}" != column:
             found.setdefault(column, f"{name}_{unit}")
     return found if len(set(found.values())) == len(found) else {}
+
+
+def _refuse_other(layout: object) -> None:
+    """Raise CasacalError for what is no layout, such as the problem that has it."""
+    if not isinstance(layout, Layout):
+        fix = "Give problem.layout(), or read a file by problem.read(path)"
+        raise CasacalError(f"Got {came(layout)} as the layout of samples", fix)
 
 
 def match_columns(table: Columns, layout: Layout) -> dict[str, tuple[str, float]]:
@@ -311,6 +318,7 @@ class Samples(Value):
         """Samples from a pandas DataFrame with the columns of a samples file; raises SamplesError."""
         from casacal.data.archives import columns_of_frame
 
+        _refuse_other(layout)
         header = [str(name) for name in frame.columns]
         found = [[name for name in header if name in _spellings(*each)] for each in layout.quantities.items()]
         numbers = [name for each in found for name in each] + [name for name in header if name in layout.further]
@@ -344,6 +352,7 @@ class Samples(Value):
         has, for those who look for their cause. Raises SamplesError where a column is missing, without unit, given
         twice or refused, or holds what it may not.
         """
+        _refuse_other(layout)
         count = len(columns.lines)
         if not count:
             raise SamplesError(columns.file, "there is no row", "Give one row per sample")

@@ -10,7 +10,7 @@ from conftest import ROOT
 
 from casacal import calibrate, load_problem
 from casacal.data.samples import Layout, Samples, write_samples
-from casacal.errors import SamplesError
+from casacal.errors import CasacalError, SamplesError
 
 LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",), {"force": "no force is measured"})
 GOOD = """# a comment
@@ -140,6 +140,17 @@ def test_written_samples_read_back(tmp_path, hsr, corner_simulation):
 
 def test_without_labels_all_rows_share_one(tmp_path):
     assert read(tmp_path, "q1_deg,q2_mm,reading_mm\n1,2,3\n").labels["plane"] == ("plane",)
+
+
+@pytest.mark.parametrize("given", [None, "q1", lambda: None])
+def test_what_is_no_layout_is_refused_in_a_sentence(hsr, given):
+    """As people try the problem, or its method, first."""
+    layouts = (given, hsr.problem, hsr.problem.layout)
+    for layout in layouts:
+        with pytest.raises(CasacalError, match=r"as the layout of samples. Give problem.layout\(\)"):
+            Samples.from_file(hsr.samples, layout)
+        with pytest.raises(CasacalError, match=r"as the layout of samples. Give problem.layout\(\)"):
+            Samples.from_frame(pd.DataFrame({"q1_deg": [1.0]}), layout)
 
 
 def test_blank_lines_and_comments_between_rows_change_no_result(hsr, tmp_path):
