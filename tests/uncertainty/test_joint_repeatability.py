@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from casacal import Joint, Problem, bind, calibrate, load, load_problem, simulate, verify
+from casacal.calibration.fresh import _noise_used
 from casacal.calibration.verdict import verdict_of
+from casacal.deployment.result_file import read_result
 from casacal.effects import GearRipple, kit, with_kit
 from casacal.effects import selection as discrepancy
 from casacal.effects.selection import _Linear
@@ -19,7 +21,7 @@ from casacal.fit.bound_problem import OTHERS, REPEATABILITY, repeatability, time
 from casacal.fit.lm import lm
 from casacal.linalg import posterior_covariance
 from casacal.uncertainty.evidence import normal_equations
-from casacal.uncertainty.noise import erring_joints
+from casacal.uncertainty.noise import erring_joints, found_noise
 from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_joints
 
 ROOT = Path(__file__).parent.parent.parent
@@ -236,11 +238,22 @@ def test_one_loose_joint_is_named_with_its_size(hsr, joint, rad, seed, tmp_path)
     assert f"oint {joint} does not repeat" in verdict.reasons[0]
     assert len(verdict.reasons) == 1, "what it explains is no further doubt"
     made.save(tmp_path)
-    kept = load(tmp_path).found.found.noise
+    kept = read_result(tmp_path).found.noise
     assert (kept.loose_joint, kept.joints_rad) == repeatability(made.fit.scale)
+    used = _noise_used(read_result(tmp_path), made.bare, other=False)
+    assert repeatability(used) == repeatability(made.fit.scale)
     if verdict.level != "do not use":
         judged = verify(load(tmp_path), samples.take(np.arange(120, 160)))
         assert 0.5 < judged.chi_square / judged.freedom < 1.6
+
+
+def test_a_loose_joint_hides_behind_no_faces_that_differ(hsr):
+    """Of these touches those on two faces see more of joint 4, so that a factor for each face looks like the cause."""
+    bound = bind(hsr.problem, with_loose(hsr, 4, 1e-3, 33).take(np.arange(100)))
+    alone = found_noise(bound).scale
+    assert len(alone) == 3
+    sized = discrepancy.with_effects(bound.with_noise(alone), hsr.problem)
+    assert repeatability(sized.scale) == (4, pytest.approx(1e-3, rel=0.25))
 
 
 @pytest.mark.long
