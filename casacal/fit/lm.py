@@ -37,7 +37,8 @@ from casacal.values import Array
 FASTEST_DECREASE = 1 / 3
 """Largest fall of the damping in one step: Nielsen, Damping parameter in Marquardt's method, 1999, eq (2.16)."""
 
-ROUNDING = 1e-12  # a fall of the log posterior below this part of (1 + cost) cannot be told from rounding
+ROUNDING = 1e-11
+"""Part of (1 + f) below which a fall of f is lost in rounding: of metres in readings of 10 um, 1e-12 still is noise."""
 SHORT = 0.1  # posterior standard deviations below which the undamped step is worth a look
 
 CLOSE = 5.0
