@@ -249,7 +249,7 @@ def test_one_loose_joint_is_named_with_its_size(hsr, joint, rad, seed, tmp_path)
 
 def test_a_loose_joint_hides_behind_no_faces_that_differ(hsr):
     """Of these touches those on two faces see more of joint 4, so that a factor for each face looks like the cause."""
-    bound = bind(hsr.problem, with_loose(hsr, 4, 1e-3, 33).take(np.arange(100)))
+    bound = bind(hsr.problem, with_loose(hsr, 4, 1e-3, 33, rows=160).take(np.arange(100)))
     alone = found_noise(bound).scale
     assert len(alone) == 3
     sized = discrepancy.with_effects(bound.with_noise(alone), hsr.problem)
