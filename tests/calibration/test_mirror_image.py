@@ -301,6 +301,8 @@ def test_a_sign_of_the_dial_that_no_reading_shows_is_said_and_settled_by_three_t
     assert settled.verdict.level == "do not use"
     assert "The dial counts the other way" in settled.verdict.reasons[0]
     assert next_step(settled, settled.verdict).startswith("reverse the sign of the dial")
+    named = [each.about for each in check(hsr.problem, wrong[1]) if each.severity == "error"]
+    assert named == ["wrong dial sign"]
 
 
 def test_a_gauge_that_stood_still_is_asked_about_before_any_prior(hsr, read_alike):
