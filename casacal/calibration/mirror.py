@@ -79,8 +79,8 @@ def either_way(fit: BoundProblem, every: Measurements | None = None) -> bool:
         if probe is None or probe.column is None:
             continue
         read = sets[i].columns[probe.column]
-        if read.std() <= SCATTER * max(probe.noise_std, probe.contact_std):
-            continue  # then it hardly matters
+        if read.std() <= SCATTER * np.median(fit.blocks[i].noise):
+            continue  # then it hardly matters, or nothing fits
         own = lm(fit) if own is None else own
         for ends in (2 * np.median(read), sum(readings_within(probe.travel))):
             sets[i] = replace(sets[i], columns={**sets[i].columns, probe.column: ends - read})

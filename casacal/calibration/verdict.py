@@ -55,6 +55,7 @@ TOO_LOOSE = 1e-3
 USELESS = 20.0  # mm; an arm as drawn and a tool held against a rule err by less, so such a tip is not calibrated
 LITTLE_TURNED = 20.0  # degrees between postures below which a tool is hardly seen
 BROKEN = 0.4e-3  # rad by which one joint may differ from touch to touch in an arm that is worth calibrating
+UNNAMED = (OUTLIERS, "misfit")  # findings that name no cause, as which a loose joint looks to the data check
 MEND = "have it mended, then measure again"
 AS_DRAWN = "the rows hardly differ from those of the arm as drawn: unless a gauge stood still, or they are a plan's, "
 MEMBER = 1e-3
@@ -261,9 +262,13 @@ def counts_back(calibration: Calibration) -> bool:
 
 
 def broken(calibration: Calibration) -> str:
-    """Why an arm must be mended before it is calibrated; empty where no joint is as loose as that."""
+    """Why an arm must be mended before it is calibrated; empty where no joint is as loose, or the rows have a cause."""
     joint, rad = repeatability(calibration.fit.scale)
-    return f"{_loose(joint, rad)}; {MEND}" if joint and rad > BROKEN else ""
+    if not joint or (rad <= BROKEN and not unexplained(calibration)):
+        return ""
+    if any(each.about not in UNNAMED for each in wrong_with_samples(calibration)):
+        return ""
+    return f"{_loose(joint, rad)}; {MEND}"
 
 
 def _places_hardly_known(calibration: Calibration) -> Iterator[Doubt]:
@@ -402,9 +407,6 @@ def _expected(calibration: Calibration) -> str:
 
 def _against(calibration: Calibration) -> list[tuple[str, str]]:
     """Reasons to refuse a result: for each a clause for the verdict's sentence, and a full sentence."""
-    if counts_back(calibration):
-        clause = "the dial counts the other way: with its sign reversed in the problem, no row would be set aside"
-        return [(clause, sentence(clause))]
     if clause := broken(calibration):  # whose rows look wrong in other ways, too
         return [(clause, sentence(clause))]
     # what is held as drawn, or certified of another arm, may look like wrong samples
@@ -414,6 +416,9 @@ def _against(calibration: Calibration) -> list[tuple[str, str]]:
         (f"the samples look wrong ({error.about})", sentence(str(error).removeprefix("error: ").removesuffix(".")))
         for error in wrong_with_samples(calibration)
     ]
+    if not found and counts_back(calibration):
+        clause = "the dial counts the other way: with its sign reversed in the problem, no row would be set aside"
+        found.append((clause, sentence(clause)))
     if not calibration.result.converged:
         found.append(_unfinished(calibration))
     for look in (_missed_minimum, *((unexplained, priors_contradicted) if calibration.earlier is None else ())):

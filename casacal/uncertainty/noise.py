@@ -231,6 +231,7 @@ EXPECTED = 15e-6
 
 DOUBT = 2.5  # times by which that may well be off
 LOOSE, LOOSE_DOUBT = 300e-6, 3.0  # of one joint with play in its gear, rad, and times by which that may be off
+LOOSEST = 5e-3  # rad beyond which no gear has play, and something else stands behind it
 RARE = -math.log(300)  # one arm of fifty has such a joint, and it is one of six
 KNOWN = 1.3  # times by which the rest of the noise may well exceed what was stated, where the joints explain the noise
 
@@ -289,6 +290,8 @@ def with_joints(whole: BoundProblem, found: BoundProblem, joints: Sequence[int])
             of_joints = part * (level - own)
             rest = math.sqrt(max(level - of_joints, own) / own)
             key = f"{REPEATABILITY}{joint or ''}"
+            if joint and math.sqrt(of_joints / square) > LOOSEST:
+                continue
             yield whole.with_noise({OTHERS: rest, key: math.sqrt(of_joints / square), **shared})
 
 
