@@ -20,9 +20,10 @@ from scipy.stats import norm
 from casacal import Cell, Problem, bind, lm, load_problem, simulate
 from casacal.effects.selection import UNLIKELY, VERY_STRONG, dial_errors, effect_sizes_of, with_effects
 from casacal.fit import BoundProblem, Result
+from casacal.fit.bound_problem import repeatability
 from casacal.study import Method, Run, Study
 from casacal.study.statistics import Interval, success_rate
-from casacal.uncertainty.noise import found_noise, repeats_to
+from casacal.uncertainty.noise import found_noise
 from studies.reporting import PROBLEMS, figure, palette, percent, save, script, table
 
 ARMS, ROWS, LEVEL = 100, 120, 0.05
@@ -102,7 +103,7 @@ def asked(problem: BoundProblem) -> Result:
     result = lm(fit)
     said = {error.key: error.chance for error in dial_errors(fit, result.x)}
     said |= {each.key: math.exp(-each.gain) for each in effect_sizes_of(fit, result.x)}
-    said["repeatability"] = 1 / (1 + 1e6 * repeats_to(fit))
+    said["repeatability"] = 1 / (1 + 1e6 * repeatability(fit.scale)[1])
     return dataclasses.replace(lm(bound), trace={key: np.array([value]) for key, value in said.items()})
 
 
