@@ -130,6 +130,8 @@ class _Linear:
             even = even.with_noise({OTHERS: rms(np.array([*factors.values()])), **of_repeats(even.scale)})
             equations = normal_equations(even, self.x)
         joints = erring_joints(even, self.x, equations)
+        if even.rows > ENOUGH:  # what so many rows share is told as such, and would pass for one joint before it is
+            joints = [joint for joint in joints if joint == 0]
         joints = [0, *joints] if faces_differ and 0 not in joints else joints
         parts = [(way, normal_equations(way, self.x)) for way in with_joints(self.ways[0][0], best.rows, joints)]
         if not parts:

@@ -72,6 +72,7 @@ NOISE_DOUBT = 3.0  # times by which noise may well exceed what was stated
 
 
 STOP = {"ftol": 1e-7}
+AT_BOUND = 2.0  # twice the logarithm of a likelihood that an effect at the largest size must gain over another top
 """Change of -2 log L, relative, below which sizes are found: a thousandth of what would be any evidence."""
 
 
@@ -130,7 +131,9 @@ def effect_sizes(
     args = (normal, problem.rows, prior, joint, groups, expected, spread)
     if search:
         found = [minimize(_objective, at, args, "L-BFGS-B", jac=True, bounds=bounds, options=STOP) for at in starts]
-        cost, logs = min(((float(top.fun), top.x) for top in found), key=lambda top: top[0])
+        tops = [(float(top.fun), top.x) for top in found]
+        # of tops that are about as likely, the one at which fewer effects are larger than they may be
+        cost, logs = min(tops, key=lambda top: top[0] + AT_BOUND * int((top[1][:-1] >= most)[most > 0].sum()))
     else:
         cost, logs = _objective(starts[0], *args)[0], starts[0]
     times = FrozenMapping({key: float(np.exp(t)) for key, t in zip(keys, logs[:-1], strict=True)})
