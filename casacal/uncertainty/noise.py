@@ -287,12 +287,10 @@ def with_joints(whole: BoundProblem, found: BoundProblem, joints: Sequence[int])
     for joint in joints if level > own else ():
         square = float((whole.joint_noise(joint) ** 2).mean())
         for part in PARTS if 0 < square < math.inf else ():
-            of_joints = part * (level - own)
-            rest = math.sqrt(max(level - of_joints, own) / own)
-            key = f"{REPEATABILITY}{joint or ''}"
-            if joint and math.sqrt(of_joints / square) > LOOSEST:
-                continue
-            yield whole.with_noise({OTHERS: rest, key: math.sqrt(of_joints / square), **shared})
+            rad = math.sqrt(part * (level - own) / square)
+            if joint == 0 or rad <= LOOSEST:
+                rest = math.sqrt(max(level - part * (level - own), own) / own)
+                yield whole.with_noise({OTHERS: rest, f"{REPEATABILITY}{joint or ''}": rad, **shared})
 
 
 def is_usual(bound: BoundProblem, most: float) -> bool:
