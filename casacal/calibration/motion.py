@@ -110,6 +110,19 @@ def tip_extremes(motion: Motion, workspace: tuple[Array, Array, Array]) -> tuple
     return float(np.linalg.norm(moved, axis=1).max()), float(np.linalg.norm(stds, axis=1).max())
 
 
+def chance_worse(motion: Motion, workspace: tuple[Array, Array, Array]) -> float:
+    """Chance that the tip errs more over the workspace, by its RMS, than as drawn; of the same arguments.
+
+    Where it errs by e ~ N(0, H S H') and was moved by m, it erred by e - m before: |e - m| < |e| where m'e > m'm / 2.
+    """
+    joints, tips, slopes = workspace
+    moved = without_rigid((tips - motion.arm.tips(motion.arm.x0, joints)).ravel(), tips)
+    along = without_rigid(slopes, tips).T @ moved
+    covariance = np.where(np.isfinite(motion.covariance), motion.covariance, 0.0)  # of what no tip sees, if any
+    spread = math.sqrt(along @ covariance @ along + (0.0 if motion.off is None else along @ motion.off) ** 2)
+    return math.erfc(float(moved @ moved) / (math.sqrt(8) * spread)) / 2 if spread > 0 else 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class Tried(Value):
     """An effect that could be corrected, and what became of it.

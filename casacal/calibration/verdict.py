@@ -14,7 +14,7 @@ from casacal.calibration.before_fit import labels_alike, repeated
 from casacal.calibration.calibration import FAR, LACK_OF_FIT, Calibration, parts_of
 from casacal.calibration.finding import Finding
 from casacal.calibration.mirror import DIAL_WAY, either_way
-from casacal.calibration.motion import tip_extremes
+from casacal.calibration.motion import chance_worse, tip_extremes
 from casacal.calibration.numbers import SCALE, TOOL, without_its_likes
 from casacal.calibration.set_aside import OUTLIERS, robust_fit, studentised_outliers
 from casacal.data.samples import Measurements
@@ -54,7 +54,7 @@ TOO_LOOSE = 1e-3
 """Chance below which a drawn arm that misses so little contradicts its priors, and these must not decide."""
 USELESS = 20.0  # mm; an arm as drawn and a tool held against a rule err by less, so such a tip is not calibrated
 LITTLE_TURNED = 20.0  # degrees between postures below which a tool is hardly seen
-BROKEN = 0.4e-3  # rad by which one joint may differ from touch to touch in an arm that is worth calibrating
+LIKELY_WORSE = 0.005  # chance of a tip worse than as drawn that is worth a doubt; where a joint is loose, a refusal
 UNNAMED = (OUTLIERS, "misfit")  # findings that name no cause, as which a loose joint looks to the data check
 MEND = "have it mended, then measure again"
 AS_DRAWN = "the rows hardly differ from those of the arm as drawn: unless a gauge stood still, or they are a plan's, "
@@ -256,19 +256,26 @@ def _loose(joint: int, rad: float) -> str:
 
 
 def counts_back(calibration: Calibration) -> bool:
-    """Whether rows that were set aside fit with all others where the dial counts the other way."""
-    open_way = calibration.aside and calibration.either_way
+    """Whether rows that were set aside fit with all others where the dial counts the other way.
+
+    Not told of an arm with a loose joint, which explains rows that lie off either way.
+    """
+    open_way = calibration.aside and calibration.either_way and not repeatability(calibration.fit.scale)[0]
     return bool(open_way) and either_way(calibration.fit, Measurements.of(calibration.samples))
 
 
 def broken(calibration: Calibration) -> str:
-    """Why an arm must be mended before it is calibrated; empty where no joint is as loose, or the rows have a cause."""
+    """Why an arm must be mended before it is calibrated; empty where no joint is loose, or the rows have a cause.
+
+    Also empty where the tip is nearer in spite of it, all but surely.
+    """
     joint, rad = repeatability(calibration.fit.scale)
-    if not joint or (rad <= BROKEN and not unexplained(calibration)):
+    if not joint or any(each.about not in UNNAMED for each in wrong_with_samples(calibration)):
         return ""
-    if any(each.about not in UNNAMED for each in wrong_with_samples(calibration)):
+    worse = chance_worse(calibration.motion, calibration.workspace)
+    if worse <= LIKELY_WORSE and not unexplained(calibration):
         return ""
-    return f"{_loose(joint, rad)}; {MEND}"
+    return f"{_loose(joint, rad)}, so that the tip may err more than as drawn; {MEND}"
 
 
 def _places_hardly_known(calibration: Calibration) -> Iterator[Doubt]:
@@ -294,6 +301,12 @@ def _places_hardly_known(calibration: Calibration) -> Iterator[Doubt]:
             "in some places the tip is known no better than before",
             f"In the worst place of the workspace the tip's standard deviation is {mm(worst)}; before calibration it "
             f"was {mm(prior)} on average. Take samples there, or verify before you rely on it.",
+        )
+    if (worse := chance_worse(calibration.motion, calibration.workspace)) > LIKELY_WORSE:
+        yield Doubt(
+            "the tip may err more than as drawn",
+            f"By these rows the tip errs more over the workspace than that of the arm as drawn with a chance of "
+            f"{figures(100 * worse, 1)} %. Touch in more postures, or verify before you rely on it.",
         )
 
 
@@ -500,12 +513,13 @@ def most_turned(fit: BoundProblem) -> float:
 def wrong_with_samples(calibration: Calibration) -> tuple[Finding, ...]:
     """Errors in the fitted rows, by the whole data check where the fit is suspicious, else by the quick checks.
 
-    Single rows are outliers where they are so beside the effects that were fitted too, not for geometry alone.
+    Single rows are outliers where they are so beside effects and a loose joint too, not for geometry alone.
     """
     found = calibration.data_errors if calibration.suspicious else calibration.plain_errors
     own = [each for each in calibration.instrument_findings if each.severity == "error"]
     reported = {"misfit", SCALE, *(error.about for error in own)}
-    if any(error.about == OUTLIERS for error in found) and any(calibration.fit.beside):
+    explained = any(calibration.fit.beside) or repeatability(calibration.fit.scale)[0]
+    if any(error.about == OUTLIERS for error in found) and explained:
         robust = robust_fit(calibration.fit)
         if robust is None or not studentised_outliers(*robust).rows:  # effects explain what geometry alone does not
             reported.add(OUTLIERS)

@@ -11,6 +11,7 @@ import pytest
 
 from casacal import Joint, Problem, bind, calibrate, load, load_problem, simulate, verify
 from casacal.calibration.fresh import _noise_used
+from casacal.calibration.motion import chance_worse
 from casacal.calibration.verdict import verdict_of
 from casacal.deployment.result_file import read_result
 from casacal.effects import GearRipple, kit, with_kit
@@ -26,7 +27,7 @@ from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_join
 
 ROOT = Path(__file__).parent.parent.parent
 TRUE = 20e-6
-SELDOM = [(2, 2e-4, 4), (4, 1e-3, 7), (4, 1e-3, 9), (5, 1e-3, 2), (1, 3e-4, 2)]
+SELDOM = [(2, 2e-4, 4), (4, 1e-3, 7), (4, 1e-3, 9), (5, 1e-3, 4), (1, 3e-4, 2)]
 
 
 def loose(source, seed, **changes):
@@ -229,15 +230,12 @@ def with_loose(source, joint, rad, seed, rows=120):
     ("joint", "rad", "seed"), [(4, 1e-3, 4), *(pytest.param(*each, marks=pytest.mark.long) for each in SELDOM)]
 )
 def test_one_loose_joint_is_named_with_its_size(hsr, joint, rad, seed, tmp_path):
-    """A joint that wobbles by a milliradian is mended before anybody calibrates; less is a doubt that is named.
-
-    Joint 1 is as far from the touches as any: of 0.3 mrad there the touches tell too little.
-    """
-    samples = with_loose(hsr, joint, rad, seed, rows=160)
+    """The arm is used with care; that of joint 1, as far from the touches as any, stays unexplained."""
+    samples = with_loose(hsr, joint, rad, seed, rows=240)
     made = calibrate(hsr, samples.take(np.arange(120)), reference=False)
     assert repeatability(made.fit.scale) == (joint, pytest.approx(rad, rel=0.25))
     verdict = verdict_of(made)
-    assert verdict.level == ("do not use" if rad > 4e-4 or joint == 1 else "use with care")
+    assert verdict.level == ("do not use" if joint == 1 else "use with care")
     assert f"oint {joint} does not repeat" in verdict.reasons[0]
     assert len(verdict.reasons) == 1, "what it explains is no further doubt"
     made.save(tmp_path)
@@ -246,8 +244,25 @@ def test_one_loose_joint_is_named_with_its_size(hsr, joint, rad, seed, tmp_path)
     used = _noise_used(read_result(tmp_path), made.bare, other=False)
     assert repeatability(used) == repeatability(made.fit.scale)
     if verdict.level != "do not use":
-        judged = verify(load(tmp_path), samples.take(np.arange(120, 160)))
+        judged = verify(load(tmp_path), samples.take(np.arange(120, 240)))
         assert 0.5 < judged.chi_square / judged.freedom < 1.6
+
+
+def test_where_the_tip_may_be_worse_than_drawn_the_joint_is_to_be_mended(hsr):
+    """The chance of that is the part of arms, drawn as the estimate may err, whose tips the drawn arm beats."""
+    made = calibrate(hsr, with_loose(hsr, 5, 1e-3, 2, rows=60), reference=False)
+    motion, (joints, tips, slopes) = made.unjudged.motion, made.unjudged.workspace
+    drawn = bind(hsr.problem, made.samples)
+    moved = without_rigid((tips - drawn.tips(drawn.x0, joints)).ravel(), tips)
+    draws = np.random.default_rng(1).multivariate_normal(np.zeros(len(motion.x)), motion.covariance, 20_000)
+    errors = draws @ without_rigid(slopes, tips).T
+    worse = ((errors**2).sum(axis=1) > ((errors - moved) ** 2).sum(axis=1)).mean()
+    assert 0.04 < worse < 0.09
+    assert chance_worse(motion, made.unjudged.workspace) == pytest.approx(worse, abs=0.005)
+    assert made.verdict.level == "do not use"
+    assert made.verdict.words.endswith("the tip may err more than as drawn; have it mended, then measure again.")
+    unnamed = calibrate(hsr, with_loose(hsr, 5, 1e-3, 2, rows=45), reference=False)  # too few rows to tell which joint
+    assert any("than that of the arm as drawn with a chance of 20 %" in reason for reason in unnamed.verdict.reasons)
 
 
 def test_a_loose_joint_hides_behind_no_faces_that_differ(hsr):
