@@ -46,7 +46,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Write a problem folder for a DH table or a URDF; returns 0."""
     from casacal.model.dh_file import BLOCK_FIELDS, unread_keys
-    from casacal.model.joints import Joint
     from casacal.model.new import new_from_dh, new_from_urdf
     from casacal.model.problem_text import Answers
 
@@ -67,10 +66,8 @@ def run(options: argparse.Namespace) -> int:
         if unread := unread_keys(options.dh):
             known = ", ".join(BLOCK_FIELDS)
             say_paragraphs(f"Taken for remarks, not for settings: {', '.join(unread)}. Known are {known}")
-        if all(joint == Joint(joint.kind) for joint in table.joints):
-            missing.append(
-                "joint limits: the table gives none that differ from those of any joint, -180 to 180 degrees"
-            )
+        if not table.limited:
+            missing.append("joint limits: the table gives none, so each joint has those of any, -180 to 180 degrees")
         if table.note:
             say_paragraphs(table.note)
         elif table.parallel:

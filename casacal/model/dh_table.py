@@ -44,6 +44,7 @@ class DHTable:
     beta: tuple[float, ...] = ()
     conventions: Conventions | None = None
     path: str = field(default="", compare=False)  # file that it was read from, if any; it says nothing of the arm
+    limited: bool = field(default=True, compare=False)  # whether a file that it was read from states joint limits
     note: str = field(default="", compare=False)  # what was done to the numbers of the file, in a sentence
 
     def __post_init__(self) -> None:

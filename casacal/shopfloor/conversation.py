@@ -153,7 +153,7 @@ def _number(text: str) -> float:
 
 @dataclass(frozen=True)
 class Answer:
-    """The session after a line, sentences, whether touches were added or changed, whether that was the end."""
+    """The session after a line, sentences, whether touches were added or changed (or left out), whether it ends."""
 
     session: Session
     said: tuple[str, ...]
@@ -208,7 +208,7 @@ def _obeyed(session: Session, proposed: Touch | None, word: str, number: int | N
             return Answer(session.skip(None), ("another touch is proposed",))
         if any(touch.number == skipped for touch in session.touches):
             raise CasacalError(f"Touch {skipped} has been made", f"u {skipped} takes it back")
-        return Answer(after := session.skip(skipped), (_left_out(after, skipped),))
+        return Answer(after := session.skip(skipped), (_left_out(after, skipped),), "changed")
     if word == KEEP:
         done, after = "kept", session.keep()
     elif word == CORRECT:

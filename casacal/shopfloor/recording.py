@@ -92,9 +92,9 @@ class Recording:
             what = f"another program changed '{self.file.path}'"
             raise CasacalError(what, "End the other session, and go on with this command")
         if answer.change == "added":
-            self.file.append(answer.session.touches[-1], len(answer.session))
+            self.file.append(answer.session.touches[-1], len(answer.session), answer.session.skipped)
         elif answer.change == "changed":
-            self.file.rewrite(answer.session.touches)
+            self.file.rewrite(answer.session.touches, answer.session.skipped)
         self.session, self._stamps = answer.session, self.file.stamps()
         return replace(answer, said=(*note, *answer.said)) if answer.change == "added" else answer
 
@@ -152,13 +152,13 @@ def begun(
     file = TouchFile(Path(out), layout, plan_mark(source, plan))
     file.refuse_others()
     refuse_plan_of_another(plan, source.name, table)
-    touches, cut = file.read()
+    touches, skipped, cut = file.read()
     said = ["The last line of the file was cut off; make that touch again"] if cut else []
     if unknown := [touch.number for touch in touches if (touch.number or 0) > len(route)]:
         what = f"touch {unknown[0]} is none of the plan, which has 1 to {len(route)}"
         raise SamplesError(Path(out).as_posix(), what, "Restore it, or write - where a touch is beyond the plan")
     if touches:
-        begin = begin.resumed(touches)
+        begin = replace(begin.resumed(touches), skipped=frozenset(number for number in skipped if number <= len(route)))
         said.append(f"Going on after {counted(len(touches), 'touch')} of {Path(out).as_posix()}")
     hit = hindered(begin.problem, route.samples, table, clearance)
     return Recording(begin, file, gauge, hit, stands), said

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -28,6 +29,7 @@ SHOWN = 3  # decimals of a reading in mm as people type it, and of a joint value
 SESSION_COLUMNS = ("order", "touch", "purpose", "kept")
 """Columns that a session adds to those of samples: order, number in the plan, purpose, how a doubt was answered."""
 KEPT, CORRECTED, NONE = "yes", "corrected", "-"
+LEFT_OUT = "left out: touch "  # begins the comment that names touches of the plan that nobody makes
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,11 +250,14 @@ class TouchFile(Value):
         """What is seen of both files from outside, by which it is noticed whether somebody else writes there."""
         return tuple(stamp(path) for path in self._paths)
 
-    def read(self) -> tuple[list[Touch], bool]:
-        """Touches so far, in order, and whether a cut-off last line is left out; SamplesError for another session's."""
+    def read(self) -> tuple[list[Touch], frozenset[int], bool]:
+        """Touches so far, in order, those of the plan that are left out, and whether a last line was cut off.
+
+        Raises SamplesError for files of another session.
+        """
         recover(self.path.parent)
         found: list[tuple[int, Touch]] = []
-        cut = False
+        skipped, cut = set[int](), False
         for path in (path for path in self._paths if path.exists()):
             data = path.read_bytes()
             whole = data[: data.rfind(b"\n") + 1]
@@ -261,7 +266,11 @@ class TouchFile(Value):
             if len(whole) < len(data):
                 cut = True
                 place_whole(path, partial(Path.write_bytes, data=whole), own=True) if whole else path.unlink()
-            if sum(bool(line.strip()) for line in whole.splitlines()) < 3:  # mark and header alone
+            lines = [line.strip() for line in whole.decode("utf-8", errors="replace").splitlines()]
+            for line in lines:
+                if line.startswith(f"# {LEFT_OUT}"):
+                    skipped |= {int(number) for number in re.findall(r"\b\d{1,9}\b", line)}
+            if sum(bool(line) and not line.startswith("#") for line in lines) < 2:  # the header alone
                 continue
             samples = Samples.from_file(path, self.layout)
             missing = (NONE,) * len(samples)
@@ -274,26 +283,27 @@ class TouchFile(Value):
                 of_plan = None if number == NONE else int(number)
                 found.append((int(order), Touch.of(samples, k, of_plan, purpose, answer)))
         found.sort(key=lambda pair: pair[0])
-        return [touch for _, touch in found], cut
+        return [touch for _, touch in found], frozenset(skipped), cut
 
-    def append(self, touch: Touch, order: int) -> None:
-        """Add one touch, so that it is on the disk when this returns."""
+    def append(self, touch: Touch, order: int, skipped: Collection[int] = ()) -> None:
+        """Add one touch, so that it is on the disk when this returns; a new file begins with what is left out."""
         path = self.check_path if touch.purpose == CHECK else self.path
-        text = self._text([(order, touch)])
         if path.exists() and path.stat().st_size:
-            text = text.split("\n", 2)[2]  # without the mark and the header
+            text = self._text([(order, touch)], ()).split("\n", 2)[2]  # without the mark and the header
+        else:
+            text = self._text([(order, touch)], skipped)
         _added(path, text.encode())
 
-    def rewrite(self, touches: Sequence[Touch]) -> None:
-        """Write all touches anew, both files or neither; a file without any is removed."""
+    def rewrite(self, touches: Sequence[Touch], skipped: Collection[int] = ()) -> None:
+        """Write all touches anew, and those of the plan that are left out; both files or neither, none without any."""
         with together(self.path.parent, [path.name for path in self._paths], own=True) as place:
             for path in self._paths:
                 check = path == self.check_path
                 rows = [(k, touch) for k, touch in enumerate(touches, 1) if (touch.purpose == CHECK) == check]
                 if rows:
-                    write_text(place / path.name, self._text(rows))
+                    write_text(place / path.name, self._text(rows, skipped))
 
-    def _text(self, rows: Sequence[tuple[int, Touch]]) -> str:
+    def _text(self, rows: Sequence[tuple[int, Touch]], skipped: Collection[int]) -> str:
         touches = [touch for _, touch in rows]
         extra = {
             "order": [str(order) for order, _ in rows],
@@ -301,7 +311,8 @@ class TouchFile(Value):
             "purpose": [touch.purpose for touch in touches],
             "kept": [KEPT if touch.kept else CORRECTED if touch.corrected else NONE for touch in touches],
         }
-        return samples_text(self.layout, rows_of(touches), [self.mark], after=extra, least_decimals=JOINT_DECIMALS)
+        comments = [self.mark, *([f"{LEFT_OUT}{', '.join(map(str, sorted(skipped)))}"] if skipped else [])]
+        return samples_text(self.layout, rows_of(touches), comments, after=extra, least_decimals=JOINT_DECIMALS)
 
     def _check_mark(self, path: Path, first: str) -> None:
         """Raise SamplesError unless the first line of a file is that of this session: nothing is changed before."""

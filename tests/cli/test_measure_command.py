@@ -22,9 +22,11 @@ from casacal import CasacalError, Instrument, Parameter, Problem, load_problem, 
 from casacal.cli.main import main
 from casacal.model.kinematics import position
 from casacal.planning import read_route
+from casacal.planning.clearance import Clearance
 from casacal.planning.plan import plan_text, write_plan
 from casacal.shopfloor.conversation import answered, command_of, help_words, posture, touch_of
 from casacal.shopfloor.gauges import HOLD, LONGEST, QUIET, Entry, Inbox, SerialLine, gauge
+from casacal.shopfloor.recording import begun
 from casacal.shopfloor.session import Session
 from casacal.shopfloor.touch import Touch, TouchFile
 
@@ -150,8 +152,9 @@ def test_what_was_touched_is_in_the_file_at_once(hsr, planned, tmp_path):
     for number in range(1, last + 1):
         session = session.take(*world.touch(number), number=number)
         file.append(session.touches[-1], number)
-        touches, cut = TouchFile(file.path, file.layout, file.mark).read()
+        touches, left_out, cut = TouchFile(file.path, file.layout, file.mark).read()
         assert not cut
+        assert not left_out
         assert [touch.number for touch in touches] == list(range(1, number + 1))
     assert all(alike(one, two) for one, two in zip(touches, session.touches, strict=True))
     checks = [touch for touch in touches if touch.purpose == "check"]
@@ -162,7 +165,7 @@ def test_what_was_touched_is_in_the_file_at_once(hsr, planned, tmp_path):
     whole = file.path.read_bytes()
     for length in range(len(whole) - 40, len(whole), 7):
         file.path.write_bytes(whole[:length])
-        left, cut = file.read()
+        left, _, cut = file.read()
         assert cut
         assert len(left) == last - 1
         assert hsr.problem.read(file.path).joints.shape[0] == len(samples) - 1
@@ -176,6 +179,31 @@ def test_what_was_touched_is_in_the_file_at_once(hsr, planned, tmp_path):
     file.path.write_text(file.path.read_text().replace(",fit,", ",fix,"))
     with pytest.raises(CasacalError, match="were changed"):
         file.read()
+
+
+def test_what_is_left_out_stays_left_out_after_a_restart(hsr, planned, tmp_path):
+    """Touches of the plan that were skipped, and asked for again, whichever file they would stand in."""
+    path, route, world = planned
+    checked = route.purposes.index("check") + 1
+
+    def recording():
+        return begun(hsr, path, tmp_path / "s.csv", PLAIN, table=0.0, clearance=Clearance())[0]
+
+    first = recording()
+    first.enter("s 1")
+    first.enter(f"s {checked}")
+    first.enter(str(world.touch(2)[1]))
+    assert recording().session.skipped == {1, checked}, "left out before anything was made"
+    first.enter(str(world.touch(3)[1]))
+    first.enter("s 1")
+    again = recording()
+    assert (again.session.skipped, again.proposed.number) == ({checked}, 1)
+    assert [touch.number for touch in again.session.touches] == [2, 3]
+    again.enter("u")
+    assert recording().session.skipped == {checked}
+    assert len(hsr.problem.read(tmp_path / "s.csv")) == 1
+    with pytest.raises(CasacalError, match="another program changed"):
+        first.enter("s 5")
 
 
 def alike(one: Touch, two: Touch) -> bool:

@@ -196,12 +196,17 @@ def test_a_travel_of_nothing_names_no_file_that_is_not_there(place, capsys):
 
 
 @pytest.mark.parametrize(
-    ("head", "limits", "named", "told"), [("", "", "mine", True), ("# name: Erna\n", ",100", "Erna", False)]
+    ("head", "limits", "named", "told"),
+    [
+        ("", "", "mine", True),
+        ("# name: Erna\n", ",100,-90", "Erna", False),
+        ("", ",180,-180", "mine", False),  # as the maker of a UR states them
+    ],
 )
 def test_an_arm_that_its_table_does_not_name_has_the_name_that_was_given(tmp_path, capsys, head, limits, named, told):
     """And limits that no table states are to fill in: a plan goes to them."""
     columns = "alpha_deg,a_mm,d_mm,theta_deg" + (",upper_deg,lower_deg" if limits else "")
-    rows = "\n".join(f"{row}{limits}{',-90' if limits else ''}" for row in ("90,0,300,0", "0,400,0,0", "90,20,0,0"))
+    rows = "\n".join(f"{row}{limits}" for row in ("90,0,300,0", "0,400,0,0", "90,20,0,0"))
     (tmp_path / "table.csv").write_text(f"{head}# convention: standard\n{columns}\n{rows}\n")
     assert main(["new", "mine", "--dh", str(tmp_path / "table.csv"), "--out", str(tmp_path)]) == 0
     said = " ".join(capsys.readouterr().out.split())
