@@ -131,6 +131,7 @@ def _following(options: argparse.Namespace, compared: Sequence[SetUp], place: Pa
 
 def _with_block(source: ProblemFile, options: argparse.Namespace) -> tuple[ProblemFile, Path, dict[Path, str]]:
     """The problem with a gauge block, the folder in which it is to stand beside the plan, and its text by file."""
+    from casacal.model.problem_file import CONVENTIONS
     from casacal.model.problem_text import Answers
     from casacal.planning.set_ups import block_text, with_block
     from casacal.simulation.cell import Cell
@@ -145,8 +146,10 @@ def _with_block(source: ProblemFile, options: argparse.Namespace) -> tuple[Probl
         raise CasacalError("Got --block, and no gauge block stands among what is measured here", "Leave it out")
     name = f"{source.name}_block"
     folder = Path(options.out).parent / name
-    text = block_text(source, blocked[1], folder, options.instrument)
-    return replace(source, name=name, problem=blocked[0], cell=blocked[1]), folder, {folder / "problem.py": text}
+    texts = {folder / "problem.py": block_text(source, blocked[1], folder, options.instrument)}
+    if source.confirmed:  # it is the same arm, about which nobody is asked twice
+        texts[folder / CONVENTIONS] = (Path(source.path).parent / CONVENTIONS).read_text(encoding="utf-8")
+    return replace(source, name=name, problem=blocked[0], cell=blocked[1]), folder, texts
 
 
 def _wrong_with(source: ProblemFile, options: argparse.Namespace) -> list[str]:

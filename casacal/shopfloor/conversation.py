@@ -322,17 +322,15 @@ def posture(session: Session, touch: Touch) -> str:
 
 def _report(session: Session) -> str:
     """Report of the last touch and of the state of the session."""
-    state, last = session.state, session.touches[-1]
+    state = session.state
     said = [f"touch {session.shown(len(session) - 1)} made, {len(session)} in all"]
     if state.off is not None and state.std is not None:
-        off, std = float(np.linalg.norm(state.off)), float(np.linalg.norm(state.std))
-        sign = "-" if len(state.off) == 1 and state.off[0] < 0 else ""
-        if state.known is not None and (slope := per_reading(state.known, last)) is not None:
-            off, std = float(state.off[0]) / slope, std / abs(slope)  # of what was read, as it was expected
-            sign = ""
-        said.append(f"{sign}{figures(off)} mm from what was expected (standard deviation {figures(std)} mm)")
+        off = float(state.off[0]) if len(state.off) == 1 else float(np.linalg.norm(state.off))
+        off, std = _as_read(session, len(session) - 1, off, float(np.linalg.norm(state.std)))
+        said.append(f"{figures(off)} mm from what was expected (standard deviation {figures(std)} mm)")
     elif len(session) - 1 in session.waiting:
-        said.append(f"face {', '.join(last.labels.values())} is not yet known well enough to judge it")
+        face = ", ".join(session.touches[-1].labels.values())
+        said.append(f"face {face} is not yet known well enough to judge it")
     if session.tip_error is not None and session.tip_error_below is not None:
         said.append(f"tip error {figures(session.tip_error)} mm expected, below {figures(session.tip_error_below)}")
     if (distrust := too_many_corrected(session)) is not None:
@@ -340,6 +338,13 @@ def _report(session: Session) -> str:
     if session.noise > 1:
         said.append(f"touches scatter {session.noise:.2g} times the stated noise; figures allow for it")
     return "; ".join(said)
+
+
+def _as_read(session: Session, k: int, off: float, std: float) -> tuple[float, float]:
+    """A residual of a touch and its standard deviation as a dial along its plunger reads them, where there is one."""
+    known = session.state.known
+    slope = None if known is None else per_reading(known, session.touches[k])
+    return (off, std) if slope is None else (off / slope, std / abs(slope))
 
 
 def too_many_corrected(session: Session) -> str | None:
@@ -361,8 +366,9 @@ def doubt(session: Session) -> list[str]:
         return []
     size = abs(alarm.off) / alarm.std if alarm.std > 0 else math.inf
     there = alarm.raised_by == len(session) - 1
+    off, _ = _as_read(session, alarm.raised_by, alarm.off, alarm.std)
     said = [
-        f"warning: touch {session.shown(alarm.raised_by)} is off by {figures(alarm.off)} mm, {times(size)} times "
+        f"warning: touch {session.shown(alarm.raised_by)} is off by {figures(off)} mm, {times(size)} times "
         f"what was to be expected.{' The arm still stands there: look at the dial again first.' * there} What would "
         "explain it, the likeliest first:"
     ]

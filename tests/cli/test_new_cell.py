@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from conftest import ROOT
 
 from casacal import Cell, calibrate, load, load_problem, simulate, verify
 from casacal.cli.main import main
+from casacal.model.problem_file import keep_conventions
 from casacal.planning.candidates import pool_of
 from casacal.planning.clearance import Clearance
 
@@ -226,13 +228,16 @@ def test_the_block_is_carried_from_the_plan_to_the_verification(made, tmp_path, 
 
 
 def test_a_plan_with_a_block_may_be_made_again_and_takes_no_second_block(tmp_path, capsys):
-    """What casacal wrote it may write again; an edited file of somebody else stays."""
-    where = str(ROOT / "problems" / "hsr_jr680")
-    plan = ["plan", where, "--pool", "150", "--touches", "40", "--out", str(tmp_path / "p.csv")]
+    """What casacal wrote it may write again; an edited file of somebody else stays. The arm's conventions go along."""
+    where = tmp_path / "hsr_jr680"
+    shutil.copytree(ROOT / "problems" / "hsr_jr680", where)
+    keep_conventions(load_problem(where), file="poses.csv", poses=4)
+    plan = ["plan", str(where), "--pool", "150", "--touches", "40", "--out", str(tmp_path / "p.csv")]
     for height in ("100", "80"):
         assert main([*plan, "--block", height]) == 0
     made = tmp_path / "hsr_jr680_block"
     assert "--block 80" in (made / "problem.py").read_text()
+    assert load_problem(made).confirmed
     assert main(["plan", str(made), *plan[2:], "--block", "50"]) == 2
     assert "'block' is a gauge block of this problem already" in capsys.readouterr().err
     (made / "problem.py").write_text("# mine\n")

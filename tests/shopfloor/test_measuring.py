@@ -615,6 +615,9 @@ def test_what_is_off_is_said_as_it_is_read(late, world):
         (words,) = answered(late, touch, line, gauge("plain")).said
         said = float(words.split("; ")[1].partition(" mm from what was expected")[0])
         assert said == pytest.approx(off, rel=0.05, abs=1e-4)
+    line = " ".join([*(f"{value:.6f}" for value in np.degrees(joints)), f"{expected - 3.0:.5f}"])
+    doubted = next(words for words in answered(late, touch, line, gauge("plain")).said if "is off by" in words)
+    assert float(doubted.split("is off by ")[1].partition(" mm")[0]) == pytest.approx(-3.0, rel=0.05)
 
 
 def test_what_leaving_a_touch_out_costs_is_said(hsr, route):
