@@ -70,7 +70,7 @@ def either_way(fit: BoundProblem, every: Measurements | None = None) -> bool:
 
     So where every posture was driven to as the drawn arm would read the same there: what readings then tell are the
     errors of the arm, and the other way round their opposite, which makes the arm err by twice what it does as drawn.
-    every: rows that the other way would have to fit, where some of them were set aside.
+    every: rows that the other way would have to fit, far better than this one, where some of them were set aside.
     """
     fit, own = fit.thinned(IMAGE_ROWS) if every is None else fit, None
     rows = fit.measured if every is None else every
@@ -82,10 +82,13 @@ def either_way(fit: BoundProblem, every: Measurements | None = None) -> bool:
         if read.std() <= SCATTER * np.median(fit.blocks[i].noise):
             continue  # then it hardly matters, or nothing fits
         own = lm(fit) if own is None else own
+        most = own.cost + EQUAL + OF_A_ROW * (len(rows) - len(fit.measured))
+        if every is not None:
+            most = min(most, lm(fit.on(*every.sets)).cost - EQUAL)
         for ends in (2 * np.median(read), sum(readings_within(probe.travel))):
             sets[i] = replace(sets[i], columns={**sets[i].columns, probe.column: ends - read})
             other = lm(fit.on(*sets), max_steps=own.steps + MORE_STEPS)
-            if other.converged and other.cost - own.cost <= EQUAL + OF_A_ROW * (len(rows) - len(fit.measured)):
+            if other.converged and other.cost <= most:
                 return True
     return False
 

@@ -54,7 +54,8 @@ TOO_LOOSE = 1e-3
 """Chance below which a drawn arm that misses so little contradicts its priors, and these must not decide."""
 USELESS = 20.0  # mm; an arm as drawn and a tool held against a rule err by less, so such a tip is not calibrated
 LITTLE_TURNED = 20.0  # degrees between postures below which a tool is hardly seen
-LIKELY_WORSE = 0.005  # chance of a tip worse than as drawn that is worth a doubt; where a joint is loose, a refusal
+WORSE_IF_LOOSE = 0.005  # chance of a tip worse than as drawn, above which an arm with a loose joint is refused
+LIKELY_WORSE = 0.1  # the same chance, above which any other arm is doubted
 UNNAMED = (OUTLIERS, "misfit")  # findings that name no cause, as which a loose joint looks to the data check
 MEND = "have it mended, then measure again"
 AS_DRAWN = "the rows hardly differ from those of the arm as drawn: unless a gauge stood still, or they are a plan's, "
@@ -256,11 +257,8 @@ def _loose(joint: int, rad: float) -> str:
 
 
 def counts_back(calibration: Calibration) -> bool:
-    """Whether rows that were set aside fit with all others where the dial counts the other way.
-
-    Not told of an arm with a loose joint, which explains rows that lie off either way.
-    """
-    open_way = calibration.aside and calibration.either_way and not repeatability(calibration.fit.scale)[0]
+    """Whether rows that were set aside fit with all others where the dial counts the other way."""
+    open_way = calibration.aside and calibration.either_way
     return bool(open_way) and either_way(calibration.fit, Measurements.of(calibration.samples))
 
 
@@ -273,7 +271,7 @@ def broken(calibration: Calibration) -> str:
     if not joint or any(each.about not in UNNAMED for each in wrong_with_samples(calibration)):
         return ""
     worse = chance_worse(calibration.motion, calibration.workspace)
-    if worse <= LIKELY_WORSE and not unexplained(calibration):
+    if worse <= WORSE_IF_LOOSE and not unexplained(calibration):
         return ""
     return f"{_loose(joint, rad)}, so that the tip may err more than as drawn; {MEND}"
 
