@@ -300,7 +300,7 @@ def _places_hardly_known(calibration: Calibration) -> Iterator[Doubt]:
             f"In the worst place of the workspace the tip's standard deviation is {mm(worst)}; before calibration it "
             f"was {mm(prior)} on average. Take samples there, or verify before you rely on it.",
         )
-    if (worse := chance_worse(calibration.motion, calibration.workspace)) > LIKELY_WORSE:
+    elif (worse := chance_worse(calibration.motion, calibration.workspace)) > LIKELY_WORSE:
         yield Doubt(
             "the tip may err more than as drawn",
             f"By these rows the tip errs more over the workspace than that of the arm as drawn with a chance of "

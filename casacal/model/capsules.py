@@ -144,12 +144,16 @@ class Skeleton:
             for k in range(1 if radius else count - 2, count):
                 start = ends[:, k] if radius else ends[:, k + 1]
                 thick = radii[k] if not solid.touched else room[:, k] if k < count - 2 else 0.0
-                yield Collision(names[k], solid.name, to_box(start, ends[:, k + 1], solid.low, solid.high) <= thick)
+                yield Collision(names[k], solid.name, _hits(start, ends[:, k + 1], solid, thick))
+        middles = (nodes[:, 1:] + nodes[:, :-1]) / 2
         for one in range(count - 2 if radius else 0):
             for two in range(one + 2, count):
-                far = lengths[:, one + 1 : two].sum(axis=1) > 2 * radius  # what lies between lets them part
-                apart = between(nodes[:, one], nodes[:, one + 1], nodes[:, two], nodes[:, two + 1])
-                yield Collision(names[one], names[two], far & (apart <= radii[one] + radii[two]))
+                least, longest = radii[one] + radii[two], (lengths[:, one] + lengths[:, two]) / 2
+                rows = lengths[:, one + 1 : two].sum(axis=1) > 2 * radius  # what lies between lets them part
+                rows &= np.linalg.norm(middles[:, one] - middles[:, two], axis=1) <= longest + least + STILL
+                rods = (nodes[rows, one], nodes[rows, one + 1], nodes[rows, two], nodes[rows, two + 1])
+                rows[rows] = between(*rods) <= least
+                yield Collision(names[one], names[two], rows)
 
 
 def radii_of(radius: float, rods: int) -> Array:
@@ -170,6 +174,15 @@ def above_table(robot: Robot, table: float, boxes: Sequence[object] = ()) -> Cal
         return np.asarray(~np.any([each.rows for each in found], axis=0))
 
     return stands
+
+
+def _hits(start: Array, end: Array, solid: Solid, thick: float | Array) -> Rows:
+    """Which rods (N,) between places (N, 3), so thick, hit a solid; only those whose middle is near are measured."""
+    middle, half = (start + end) / 2, np.linalg.norm(end - start, axis=1) / 2
+    rows = np.linalg.norm(middle - middle.clip(solid.low, solid.high), axis=1) <= half + thick + STILL
+    thickness = np.broadcast_to(thick, rows.shape)[rows]
+    rows[rows] = to_box(start[rows], end[rows], solid.low, solid.high) <= thickness
+    return np.asarray(rows)
 
 
 def to_box(start: Array, end: Array, low: Array, high: Array) -> Array:

@@ -49,6 +49,7 @@ def gains(rows: Array, covariance: Array, weight: Array, criterion: Criterion = 
 
 
 UNKNOWN = 1e-9  # information, in units of what filters start from, of what nobody knows beforehand
+CANCELLED = 1e-6  # part of what a measurement tells that others tell as well, below which it is worked out anew
 ROUNDING = 1e-12
 """As `UNKNOWN`, but as part of the largest information, where rows know some unknowns well and others not at all."""
 
@@ -126,19 +127,18 @@ class Choice:
         free[plan] = False
         if barred is not None:
             free[barred] = False
+        without = _Without.of(self, plan)
         for _ in range(SWEEPS):
             changed = False
             for place in range(len(plan)):
-                information = self._information(np.delete(plan, place))
-                covariance: Array = np.asarray(np.linalg.inv(information), dtype=np.float64)
-                others = gains(self.rows, covariance, self.weight, criterion)
+                others, left = without.gains(plan[place], criterion)
+                present = float(others[plan[place]])
                 others[~free] = -np.inf
-                present = float(gains(self.rows[plan[place]][None], covariance, self.weight, criterion)[0])
                 best = int(np.argmax(others))
-                left = float(np.trace(covariance @ self.weight)) - present if criterion == "tip" else 1.0
-                if others[best] > present + BETTER * left:
+                if others[best] > present + BETTER * (left - present if criterion == "tip" else 1.0):
                     free[plan[place]], free[best] = barred is None or not barred[plan[place]], False
                     plan[place], changed = best, True
+                    without = _Without.of(self, plan)
             if not changed:
                 break
         return plan, self.error(plan) if criterion == "tip" else -float(np.linalg.slogdet(self._information(plan))[1])
@@ -170,6 +170,61 @@ class Choice:
         left = max(len(best) - max(round(part * len(best)), 1), 1)
         errors = [self.error(rng.choice(best, left, replace=False)) for _ in range(draws)]
         return float(np.sqrt(np.mean(np.square(errors))))
+
+
+@dataclass(frozen=True)
+class _Without:
+    """A plan less any one of its measurements, by the Sherman-Morrison-Woodbury formula in place of an inverse each.
+
+    Without a (m, n) the covariance is C + C a' K a C, K = (1 - a C a')^-1; so every product of it with rows f (N, m, n)
+    is one with C, made once for the plan, and another of f C a' and f C M C a'.
+    """
+
+    choice: Choice
+    plan: Index
+    covariance: Array
+    flat: Array
+    weighed: Array
+    spread: Array
+    saved: Array
+
+    @staticmethod
+    def of(choice: Choice, plan: Index) -> _Without:
+        """From information that is inverted once."""
+        covariance = np.asarray(np.linalg.inv(choice._information(plan)), dtype=np.float64)
+        size, unknowns = choice.rows.shape[1:]
+        flat = choice.rows.reshape(-1, unknowns)
+        weighed = covariance @ choice.weight @ covariance
+        if size == 1:
+            spread, saved = (((flat @ each) * flat).sum(axis=1)[:, None, None] for each in (covariance, weighed))
+        else:
+            spread, saved = (choice.rows @ each @ choice.rows.transpose(0, 2, 1) for each in (covariance, weighed))
+        return _Without(choice, plan.copy(), covariance, flat, weighed, spread, saved)
+
+    def gains(self, one: int, criterion: Criterion) -> tuple[Array, float]:
+        """Fall (N,) of trace(C M), or of ln det C, by each measurement added to the plan less `one`; its trace(C M)."""
+        a, size = self.choice.rows[one], self.choice.rows.shape[1]
+        left = np.eye(size) - a @ self.covariance @ a.T
+        weight = self.choice.weight
+        if np.linalg.eigvalsh(left)[0] < CANCELLED:  # it alone tells something: too little is left of the difference
+            rest: Array = np.asarray(np.linalg.inv(self.choice._information(self.plan[self.plan != one])))
+            return gains(self.choice.rows, rest, weight, criterion), float(np.sum(rest * weight))
+        k, shape = np.linalg.inv(left), (-1, size, size)
+        across = (self.flat @ (self.covariance @ a.T)).reshape(shape)
+        weighed = (self.flat @ (self.weighed @ a.T)).reshape(shape)
+        inner = k @ (a @ self.weighed @ a.T) @ k
+        total = float(np.sum(self.covariance * weight) + np.trace(k @ (a @ self.weighed @ a.T)))
+        if size == 1:
+            spread = 1 + (self.spread + k * across**2)[:, 0, 0]
+            saved = (self.saved + 2 * k * weighed * across + inner * across**2)[:, 0, 0]
+            return (np.log(spread) if criterion == "parameters" else saved / spread), total
+        turned = across.transpose(0, 2, 1)
+        spread = np.eye(size) + self.spread + across @ k @ turned
+        if criterion == "parameters":
+            return np.asarray(np.linalg.slogdet(spread)[1]), total
+        mixed = weighed @ k @ turned
+        saved = self.saved + mixed + mixed.transpose(0, 2, 1) + across @ inner @ turned
+        return np.asarray(np.trace(np.linalg.solve(spread, saved), axis1=1, axis2=2)), total
 
 
 def seldom(problem: Problem, pool: Samples, chosen: Index) -> tuple[Rows, Rows]:

@@ -17,7 +17,7 @@ from casacal.data.columns import Labels
 from casacal.linalg import posterior_covariance
 from casacal.model.robot import AXIS_WEIGHT
 from casacal.planning.candidates import pool_of
-from casacal.planning.choice import Choice
+from casacal.planning.choice import Choice, _Without
 from casacal.planning.plan import _by_label, kept_to_verify, plan, plan_text, touches_for
 from casacal.planning.route import AGAIN, CHECK, FIT, read_route, shortest_way
 from casacal.planning.set_ups import SetUp, worth_most
@@ -38,6 +38,28 @@ HSR = ROOT / "problems" / "hsr_jr680"
 def forty(hsr):
     """Forty touches to fit, none else; the reference's pool."""
     return plan(hsr.problem, hsr.cell, touches=40, check=0.0, again=0.0)
+
+
+@pytest.mark.parametrize("criterion", ["tip", "parameters"])
+@pytest.mark.parametrize("size", [1, 3])
+def test_what_a_plan_less_one_row_gains_is_that_of_its_own_inverse(size, criterion):
+    """For every row left out, one of which alone tells of an unknown: there the difference is of two large numbers."""
+    rng = np.random.default_rng(3)
+    rows, half = rng.normal(size=(30, size, 9)), rng.normal(size=(9, 9))
+    rows[1:, :, 8] = 0.0
+    choice = Choice(rows, 1e-9 * np.eye(9), half @ half.T)
+    plan = np.arange(12)
+    without = _Without.of(choice, plan)
+    for one in plan:
+        left = np.delete(rows, [one, *range(12, 30)], axis=0).reshape(-1, 9)
+        covariance = np.linalg.inv(choice.known + left.T @ left)
+        found, total = without.gains(one, criterion)
+        assert total == pytest.approx(np.trace(covariance @ choice.weight), rel=1e-9)
+        for row, gain in zip(rows, found, strict=True):
+            after = np.linalg.inv(np.linalg.inv(covariance) + row.T @ row)
+            fall = np.trace((covariance - after) @ choice.weight)
+            fall = np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(after)[1] if criterion == "parameters" else fall
+            assert gain == pytest.approx(fall, rel=1e-6, abs=1e-6 * max(total, 1.0) if one == 0 else 1e-9)
 
 
 @pytest.mark.parametrize("size", [1, 3])
