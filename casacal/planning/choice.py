@@ -196,7 +196,8 @@ class _Without:
         flat = choice.rows.reshape(-1, unknowns)
         weighed = covariance @ choice.weight @ covariance
         if size == 1:
-            spread, saved = (((flat @ each) * flat).sum(axis=1)[:, None, None] for each in (covariance, weighed))
+            products = (np.einsum("kn,kn->k", flat @ each, flat) for each in (covariance, weighed))
+            spread, saved = (each[:, None, None] for each in products)
         else:
             spread, saved = (choice.rows @ each @ choice.rows.transpose(0, 2, 1) for each in (covariance, weighed))
         return _Without(choice, plan.copy(), covariance, flat, weighed, spread, saved)
