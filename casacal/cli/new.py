@@ -23,9 +23,9 @@ SHORTEST = 2.0  # mm; a tool shorter than this was given in metres
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `casacal new`."""
     parser.description = (
-        "Write a problem folder for an arm given as a DH table or a URDF. A DH table in CSV has a row for each joint and "
-        "the columns alpha_deg, a_mm, d_mm, theta_deg, and for joint limits lower_deg, upper_deg (rad and m as well). A "
-        "line above them says '# convention: standard', or modified (Craig's)."
+        "Write a problem folder for an arm given as a DH table or a URDF. A DH table in CSV has a row for each joint "
+        "and the columns alpha_deg, a_mm, d_mm, theta_deg, and for joint limits lower_deg, upper_deg (rad and m as "
+        "well). A line above them says '# convention: standard', or modified (Craig's)."
     )
     add(parser, "NAME", "name of the folder, which must not exist yet")
     source = parser.add_mutually_exclusive_group(required=True)
