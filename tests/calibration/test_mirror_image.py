@@ -305,6 +305,20 @@ def test_a_sign_of_the_dial_that_no_reading_shows_is_said_and_settled_by_three_t
     assert named == ["wrong dial sign"]
 
 
+def test_one_stray_row_blames_no_sign_that_explains_it_no_better(hsr, read_alike):
+    """A row that is just far enough off to be set aside fits the other way round as badly."""
+    touches, bad = read_alike[0], np.arange(60) == 20
+    for off in np.arange(0.05, 0.1, 0.005):
+        made = calibrate(
+            hsr, replace(touches, columns={"reading": touches.columns["reading"] + off * bad}), reference=False
+        )
+        if made.aside:
+            break
+    assert made.aside_lines == (touches.lines[20],)
+    assert made.verdict.level == "use with care"
+    assert "do not tell in which direction the dial counts" in " ".join((made.verdict.words, *made.verdict.reasons))
+
+
 def test_a_gauge_that_stood_still_is_asked_about_before_any_prior(hsr, read_alike):
     """Every posture as planned and every reading the same: the arm as drawn, and nothing measured."""
     for size in (0.0, 0.003):  # of what the gauge flickers by
