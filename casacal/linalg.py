@@ -11,11 +11,9 @@ from casacal.values import Array
 
 LEAST_LEFT = 1e-10  # fraction of a variance that must remain for a downdate to keep six digits; below it a QR is used
 
-LEAST_PIVOT = 1e-12
-"""Part of a diagonal element below which a pivot of Cholesky's is mostly rounding; kernels/c/normal_equations.c too."""
+LEAST_PIVOT = 1e-12  # part of a diagonal element below which Cholesky's pivot is mostly rounding; in C too
 
-WELL_CONDITIONED = 1e-12
-"""Reciprocal condition number above which a unit-diagonal information matrix is inverted as it is."""
+WELL_CONDITIONED = 1e-12  # reciprocal condition number above which a unit-diagonal information is inverted as it is
 
 LEAST_SLOPE = 1e-9  # part of a row's length, or of the largest pivot, below which nothing but rounding is left of it
 
@@ -66,8 +64,7 @@ def damped_solution(information: Array, gradient: Array, damping: Array | float)
 def svd(matrix: Array, *, full: bool = False) -> tuple[Array, Array, Array]:
     """U (m, k), singular values (k,) and V' (k, n) of a matrix (m, n), k the smaller of m and n; `full`: U, V square.
 
-    LAPACK's divide and conquer gives up on a few finite matrices with columns of zeros; QR iteration does not.
-    Raises LinAlgError where the matrix is not finite.
+    Divide and conquer gives up on a few finite matrices, QR iteration does not; LinAlgError where one is not finite.
     """
     try:
         left, values, right = np.linalg.svd(matrix, full_matrices=full)
@@ -106,8 +103,7 @@ def revealed_solution(rows: Array, gradient: Array, damping: float) -> tuple[Arr
 def freed_of(rows: Array, others: Array) -> Array:
     """R (k, s) with the A'A that is left of columns A (m, s) where the unknowns of other columns B (m, k) move freely.
 
-    By orthogonal projection, which loses no digit as a difference of matrices would. Directions of the others that no
-    row sees take nothing away.
+    By orthogonal projection, which loses no digit. Directions of the others that no row sees take nothing away.
     """
     left, values, _ = svd(others)
     left = left[:, values > others.shape[1] * np.finfo(float).eps * values.max(initial=0.0)]
@@ -227,10 +223,8 @@ def nearest(rows: Array, least: Array) -> tuple[Array, Array] | None:
 
     sizes = np.linalg.norm(rows, axis=1)
     moved = sizes > LEAST_SLOPE * sizes.max(initial=0.0)  # a bound that nothing can move is no matter of w
-    rows, least = (
-        rows / np.where(moved, sizes, np.inf)[:, None],
-        np.where(moved, least, 0.0) / np.where(moved, sizes, 1.0),
-    )
+    rows = rows / np.where(moved, sizes, np.inf)[:, None]
+    least = np.where(moved, least, 0.0) / np.where(moved, sizes, 1.0)
     whole, wanted = np.vstack([rows.T, least]), np.append(np.zeros(rows.shape[1]), 1.0)
     pull, missed = nnls(whole, wanted)
     if missed <= LEAST_SLOPE:
@@ -245,8 +239,7 @@ def constrained_solution(
     """Minimise |A s|^2 / 2 + damping |s|^2 / 2 + g's over s (n,) with E s = gap and B s >= least; None where none does.
 
     Null-space method for the equalities (Nocedal and Wright, Numerical Optimization, 2nd edition, section 16.2), then
-    least distance in the metric of what is left. Directions that A does not see take no part, as in
-    `revealed_solution`.
+    least distance in the metric of what is left. Directions that A does not see take no part.
     """
     left, sizes, right = svd(equal, full=True)
     kept = sizes > LEAST_SLOPE * sizes.max(initial=0.0)

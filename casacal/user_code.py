@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import operator
 import pickle
 import sys
 import threading
@@ -21,8 +22,7 @@ IMPORTED = "__casacal_beside__"  # name in a module made by `run_file`: the file
 RUNNING = frozenset({*sys.stdlib_module_names, "casacal", "casadi", "numpy", "scipy", "pandas", "matplotlib"})
 """Modules that stay whatever lies in a folder: Python's own, casacal and what it runs on."""
 
-_IMPORTING = threading.RLock()
-"""The import system is one for all threads: one file runs at a time, and those that it loads itself."""
+_IMPORTING = threading.RLock()  # the import system is one for all: one file runs at a time, and those that it loads
 
 
 def run_file(path: str | Path, text: str | None = None) -> ModuleType:
@@ -91,10 +91,8 @@ class Portable:
         if found is cls:  # another process finds it by its module's name
             return super().__reduce_ex__(protocol)
         if cls._defined_in is None or "<locals>" in cls.__qualname__:
-            raise pickle.PicklingError(
-                f"{cls.__qualname__} is defined inside a function or a session. "
-                "Put the class into a file of its own, or into problem.py."
-            )
+            what = f"{cls.__qualname__} is defined inside a function or a session"
+            raise pickle.PicklingError(f"{what}. Put the class into a file of its own, or into problem.py.")
         text = Path(cls._defined_in).read_text(encoding="utf-8")
         return _instance, (cls._defined_in, text, cls.__qualname__, dict(vars(self)))
 
@@ -107,9 +105,7 @@ class Portable:
 
 @functools.lru_cache(maxsize=64)
 def _class_from(path: str, text: str, name: str) -> type:
-    found: Any = run_file(path, text)
-    for part in name.split("."):
-        found = getattr(found, part)
+    found = operator.attrgetter(name)(run_file(path, text))
     assert isinstance(found, type)
     return found
 

@@ -13,15 +13,10 @@ from numpy.typing import NDArray
 
 from casacal.errors import came
 
-Array: TypeAlias = NDArray[np.float64]
-"""Numbers."""
-Rows: TypeAlias = NDArray[np.bool_]
-"""Which rows: true or false for each."""
-Index: TypeAlias = NDArray[np.intp]
-Box: TypeAlias = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
-"""Ranges of x, y and z in the base frame, mm."""
-"""Positions."""
-
+Array: TypeAlias = NDArray[np.float64]  # numbers
+Rows: TypeAlias = NDArray[np.bool_]  # which rows: true or false for each
+Index: TypeAlias = NDArray[np.intp]  # positions
+Box: TypeAlias = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]  # ranges of x, y, z, mm
 
 K = TypeVar("K")
 V = TypeVar("V")

@@ -218,7 +218,7 @@ def exists(place):
     """Whether a dotted name is a module of casacal, or an attribute in one; `bound` and `problem` are values."""
     for value, home in (("bound.symbolic", "fit.symbolic.SymbolicProblem"),
                         ("bound", "fit.bound_problem.BoundProblem"),
-                        ("model.symbols", "model.symbols.Symbols")):  # fmt: skip
+                        ("model.symbols", "model.trace.Symbols")):  # fmt: skip
         if re.match(rf"{value}(\.[a-z]|$)", place):
             place = place.replace(value, home, 1)
             break

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from casacal.calibration.as_arm import AsArm
 from casacal.calibration.inputs import problem_from, samples_of
 from casacal.calibration.saved import arm_from
-from casacal.data.recognised import copies, fitted_among, in_fitted_postures
+from casacal.data.repeats import copies, fitted_among, in_fitted_postures
 from casacal.data.samples import Samples
 from casacal.deployment.arm import (
     NOTHING,

@@ -1,7 +1,6 @@
 """Rows from arrays, workbooks and DataFrames, as named columns or cells.
 
-Errors are refused with a sentence. The unpacked size of zip archives, be they of arrays or workbooks, is bounded before
-anything in them is read.
+The unpacked size of zip archives, be they of arrays or workbooks, is bounded before anything in them is read.
 """
 
 from __future__ import annotations
@@ -11,9 +10,8 @@ import io
 import re
 import warnings
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -157,31 +155,18 @@ def check_unpacked(path: Path, file: str) -> None:
         raise SamplesError(file, what, "Save the samples alone, or as CSV")
 
 
-def pieces(path: Path) -> Iterator[bytes]:
-    """Contents of an archive, piece by piece; a member ends where it was declared to."""
-    with zipfile.ZipFile(path) as archive:
-        for member in archive.infolist():
-            with archive.open(member) as stream:
-                while piece := stream.read(PIECE):
-                    yield piece
-
-
 MOST_ROWS = 1 << 20  # rows of a sheet, whatever its file says
-MOST_TAGS = 1_600_000
-"""Largest number of tags in all parts of a workbook, four a cell; a larger one takes minutes and gigabytes to read."""
+MOST_TAGS = 1_600_000  # of all parts of a workbook, four a cell; more take minutes and gigabytes to read
 MOST_OTHER_TAGS = 100_000  # tags of styles and the like, which take the library longest
 CELL_TAG = re.compile(rb"</?(?:\w+:)?(?:row|c|v|f|is|si|t)[\s/>]")
-MOST_PLACES = 20_000_000
-"""Largest number of cells of a sheet, empty ones included: one coloured far to the right makes a row of 16,384."""
-ERRORS = ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A")
-"""Error values of spreadsheets; these are no comments."""
+MOST_PLACES = 20_000_000  # cells of a sheet, empty ones included: one coloured far to the right makes a row of 16,384
+ERRORS = ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A")  # of spreadsheets, and no comments
 
 
 def read_workbook(path: str | Path) -> Table:
     """Read the first visible sheet of an Excel workbook as it is calculated: a header row, then one row per sample.
 
-    Blank rows, and rows whose first cell begins with #, are skipped as in text; "line" is the sheet's row. Where there
-    are more sheets, the table's `file` says which one was read.
+    Blank rows and comments are skipped as in text; "line" is the sheet's row, and `file` tells one sheet of several.
 
     Raises SamplesError for anything else, such as hidden rows; CasacalError without the extra `excel`.
     """
@@ -204,14 +189,17 @@ def read_workbook(path: str | Path) -> Table:
 def _check_tags(path: Path, file: str) -> None:
     """Raise SamplesError for a workbook whose parts are too many, or that declares parts of its own."""
     tags = others = 0
-    for piece in pieces(path):
-        here = piece.count(b"<")
-        tags, others = tags + here, others + here - len(CELL_TAG.findall(piece))
-        if b"<!DOCTYPE" in piece:
-            raise SamplesError(file, "the workbook declares a document type", "Save it again, or as CSV")
-        if tags > MOST_TAGS or others > MOST_OTHER_TAGS:
-            what = f"the workbook holds more than {MOST_TAGS // 4:,} cells, or {MOST_OTHER_TAGS:,} styles and the like"
-            raise SamplesError(file, what, "Save the samples as CSV")
+    with zipfile.ZipFile(path) as archive:
+        for member in archive.infolist():
+            with archive.open(member) as stream:  # which ends where it was declared to
+                while piece := stream.read(PIECE):
+                    here = piece.count(b"<")
+                    tags, others = tags + here, others + here - len(CELL_TAG.findall(piece))
+                    if b"<!DOCTYPE" in piece:
+                        raise SamplesError(file, "the workbook declares a document type", "Save it again, or as CSV")
+                    if tags > MOST_TAGS or others > MOST_OTHER_TAGS:
+                        many = f"{MOST_TAGS // 4:,} cells, or {MOST_OTHER_TAGS:,} styles and the like"
+                        raise SamplesError(file, f"the workbook holds more than {many}", "Save the samples as CSV")
 
 
 def _first_sheet(book: Any, file: str) -> tuple[str, NumberedRows, NumberedRows]:
@@ -226,9 +214,17 @@ def _first_sheet(book: Any, file: str) -> tuple[str, NumberedRows, NumberedRows]
     with book._archive.open(sheet._worksheet_path) as stream:  # the library passes over what it does not show
         hidden = _hidden_rows(stream, file)
     sheet.reset_dimensions()  # they may be wrong
-    rows: NumberedRows = []
-    comments: NumberedRows = []
-    for number, cells in _filled(sheet, file):
+    rows, comments, places = NumberedRows(), NumberedRows(), 0
+    for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
+        places += len(row)
+        if places > MOST_PLACES:
+            what = f"the sheet spans more than {MOST_PLACES:,} cells, most of them empty"
+            raise SamplesError(file, what, "Delete the columns beside the samples, or save them as CSV", line=number)
+        cells = [_text(cell) for cell in row]
+        while cells and not cells[-1]:
+            cells.pop()
+        if not cells:
+            continue
         if cells[0].startswith("#") and cells[0] not in ERRORS:
             comments.append((number, cells))
             continue
@@ -259,21 +255,6 @@ def _hidden_rows(stream: Any, file: str) -> set[int]:
     return hidden
 
 
-def _filled(sheet: Any, file: str) -> Iterator[tuple[int, list[str]]]:
-    """Rows of a sheet that are not blank, each with its number, up to its last cell with text."""
-    places = 0
-    for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
-        places += len(row)
-        if places > MOST_PLACES:
-            what = f"the sheet spans more than {MOST_PLACES:,} cells, most of them empty"
-            raise SamplesError(file, what, "Delete the columns beside the samples, or save them as CSV", line=number)
-        cells = [_text(cell) for cell in row]
-        while cells and not cells[-1]:
-            cells.pop()
-        if cells:
-            yield number, cells
-
-
 def _text(cell: Any) -> str:
     """A cell as one would type it."""
     if cell is None:
@@ -283,23 +264,13 @@ def _text(cell: Any) -> str:
     return str(cell).strip()
 
 
-def columns_of_frame(frame: Any, numbers: Sequence[str], labels: Sequence[str], source: str = "DataFrame") -> Columns:
-    """Columns of a frame: its arrays where the named columns hold numbers, else cell by cell; "line" is its row."""
-    header = tuple(str(name) for name in frame.columns)
-    if numbers and len(set(header)) == len(header) and all(frame[name].dtype.kind in "iuf" for name in numbers):
-        used = {name: frame[name].to_numpy() for name in numbers}
-        used |= {name: frame[name].to_numpy(dtype=str) for name in labels if name in header}
-        return replace(columns_of_arrays(used, source, digest_of(used)), header=header)
-    return table_of_frame(frame, source).columns
-
-
 def table_of_frame(frame: Any, source: str = "DataFrame") -> Table:
     """The cells of a frame as text; "line" is then its row, counted from 1."""
     header = tuple(str(name) for name in frame.columns)
-    rows = tuple(tuple(_cell(value) for value in row) for row in frame.itertuples(index=False, name=None))
+
+    def cell(value: Any) -> str:
+        return repr(float(value)) if isinstance(value, (float, np.floating)) else str(value).strip()
+
+    rows = tuple(tuple(map(cell, row)) for row in frame.itertuples(index=False, name=None))
     digest = hashlib.sha256(repr((header, rows)).encode()).hexdigest()
     return Table(source, digest, header, 0, rows, tuple(range(1, len(rows) + 1)), decimal_comma=False)
-
-
-def _cell(value: Any) -> str:
-    return repr(float(value)) if isinstance(value, (float, np.floating)) else str(value).strip()

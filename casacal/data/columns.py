@@ -19,8 +19,7 @@ Codes: TypeAlias = NDArray[np.int32]
 
 MANY_ROWS = 100_000  # rows from which lines are numbers in an array rather than Python objects
 
-Dimension: TypeAlias = Literal["length", "angle", "number"]
-"""Dimension of a column's numbers: length, angle, or none."""
+Dimension: TypeAlias = Literal["length", "angle", "number"]  # dimension of a column's numbers: length, angle, or none
 
 
 class Labels(Sequence[str]):

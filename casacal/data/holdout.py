@@ -104,8 +104,7 @@ def _whole(samples: Samples, holdout: float, rng: np.random.Generator, by: str, 
     return np.isin(groups.codes, rng.permutation(len(groups.names))[:count])
 
 
-FACES, REGIONS, INSTRUMENTS = "faces", "regions", "instruments"
-"""Splits of any samples; further ones have the names of label columns."""
+FACES, REGIONS, INSTRUMENTS = "faces", "regions", "instruments"  # splits of any samples; others are named by columns
 
 MOST_PARTS = 12  # parts of a split; where labels are more, some are left out together
 HALVINGS = 2  # how often the postures are halved into regions
@@ -124,20 +123,15 @@ def splits_by(columns: Mapping[str, Labels], joints: Array) -> dict[str, list[In
         groups = np.array_split(np.arange(len(labels.names)), min(MOST_PARTS, len(labels.names)))
         if len(groups) > 1:
             found[name] = [np.flatnonzero(np.isin(labels.codes, group)) for group in groups]
-    regions = [np.arange(len(joints))]
-    for _ in range(HALVINGS):
-        regions = [half for region in regions for half in _halves(joints, region)]
+    regions, spread = [np.arange(len(joints))], joints.std(axis=0)
+    for _ in range(HALVINGS):  # by the middle of the direction in which their postures spread most, joints all alike
+        halves = list[Index]()
+        for rows in regions:
+            places = joints[rows] / np.where(spread > 0, spread, 1.0)
+            places = places - places.mean(axis=0)
+            order = rows[np.argsort(places @ svd(places)[2][0], kind="stable")]
+            halves += [np.sort(order[: len(order) // 2]), np.sort(order[len(order) // 2 :])]
+        regions = [half for half in halves if half.size]
     if len(regions) > 1:
         found[REGIONS] = regions
     return found
-
-
-def _halves(joints: Array, rows: Index) -> list[Index]:
-    """Rows on either side of the middle of the direction in which their postures spread most, joints all alike."""
-    spread = joints.std(axis=0)
-    places = joints[rows] / np.where(spread > 0, spread, 1.0)
-    places = places - places.mean(axis=0)
-    along = places @ svd(places)[2][0]
-    order = rows[np.argsort(along, kind="stable")]
-    halves = [np.sort(order[: len(order) // 2]), np.sort(order[len(order) // 2 :])]
-    return [half for half in halves if half.size]

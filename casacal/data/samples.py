@@ -11,7 +11,7 @@ import io
 import math
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
@@ -49,8 +49,7 @@ UNREAD = 1e12  # mm; what is beyond it is no length in another unit, but a devic
 def read_columns(path: str | Path) -> Columns:
     """Columns of a file: .npy with named fields, .npz with one array per column, .xlsx, or else delimited text.
 
-    Text of a million rows takes some ten seconds and a gigabyte; arrays take neither. Raises SamplesError that names
-    file, line, column, what is wrong and the fix.
+    Text of a million rows takes some ten seconds and a gigabyte; arrays take neither. Raises SamplesError.
     """
     path = Path(path)
     recover(path.parent)
@@ -115,8 +114,7 @@ def _nearly(spellings: Sequence[str], header: Sequence[str], taken: Collection[s
     return alike[0] if alike else None
 
 
-JOINT_WORDS = "j|joint|axis|ax|a|q|theta|achse|axe"
-"""What other software calls a joint, before its number."""
+JOINT_WORDS = "j|joint|axis|ax|a|q|theta|achse|axe"  # what other software calls a joint, before its number
 UNIT_SIGNS = {"°": "deg", "º": "deg", "degree": "deg", "degrees": "deg", "grad": "deg", "radian": "rad", "inch": "in"}
 HEADING = re.compile(r"([^\W\d_]+)[ _.]*(\d*)[ _]*[\[({<]?([^\W\d_]+|°|º)?[\])}>]?")
 
@@ -160,9 +158,8 @@ def match_columns(table: Columns, layout: Layout) -> dict[str, tuple[str, float]
         present = [column for column in table.header if column in spellings]
         wanted = " or ".join(spellings)
         if len(present) > 1:
-            raise table.refusal(
-                f"'{present[0]}' and '{present[1]}' both give {name}", "Keep one of the two", present[1]
-            )
+            what = f"'{present[0]}' and '{present[1]}' both give {name}"
+            raise table.refusal(what, "Keep one of the two", present[1])
         if present:
             found[name] = present[0], spellings[present[0]]
             continue
@@ -266,16 +263,16 @@ class Samples(Value):
 
     def take(self, rows: Sequence[int] | Index) -> Samples:
         """Return the given rows, in the given order, with the same provenance."""
-        index = np.asarray(rows, dtype=np.intp)
-        return Samples(
-            self.joints[index],
-            {name: values[index] for name, values in self.columns.items()},
-            {name: values.take(index) for name, values in self.labels.items()},
-            _lines(self.lines, index),
-            taken_from(self.extra, index),
-            self.file,
-            self.sha256,
-        )
+        index, lines = np.asarray(rows, dtype=np.intp), self.lines
+        if len(index) < MANY_ROWS:
+            kept: Sequence[int] = tuple(int(lines[k]) for k in index.tolist())
+        else:
+            known = np.arange(lines.start, lines.stop, lines.step) if isinstance(lines, range) else np.asarray(lines)
+            kept = cast(Sequence[int], known[index])
+        columns = {name: values[index] for name, values in self.columns.items()}
+        labels = {name: values.take(index) for name, values in self.labels.items()}
+        extra = taken_from(self.extra, index)
+        return Samples(self.joints[index], columns, labels, kept, extra, self.file, self.sha256)
 
     @staticmethod
     def of_joints(joints: Array) -> Samples:
@@ -316,14 +313,20 @@ class Samples(Value):
     @staticmethod
     def from_frame(frame: Any, layout: Layout, *, source: str = "DataFrame") -> Samples:
         """Samples from a pandas DataFrame with the columns of a samples file; raises SamplesError."""
-        from casacal.data.archives import columns_of_frame
+        from casacal.data.archives import columns_of_arrays, digest_of, table_of_frame
 
         _refuse_other(layout)
         header = [str(name) for name in frame.columns]
         found = [[name for name in header if name in _spellings(*each)] for each in layout.quantities.items()]
         numbers = [name for each in found for name in each] + [name for name in header if name in layout.further]
-        once = all(len(each) == 1 for each in found)  # else cell by cell, where what is wrong is said
-        return Samples.from_columns(columns_of_frame(frame, numbers if once else [], layout.labels, source), layout)
+        once = all(len(each) == 1 for each in found) and len(set(header)) == len(header)
+        if once and numbers and all(frame[name].dtype.kind in "iuf" for name in numbers):
+            used = {name: frame[name].to_numpy() for name in numbers}
+            used |= {name: frame[name].to_numpy(dtype=str) for name in layout.labels if name in header}
+            columns = replace(columns_of_arrays(used, source, digest_of(used)), header=tuple(header))
+        else:  # cell by cell, where what is wrong is said
+            columns = table_of_frame(frame, source).columns
+        return Samples.from_columns(columns, layout)
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, Any], layout: Layout, *, source: str = "arrays") -> Samples:
@@ -393,28 +396,15 @@ def taken_from(extra: Mapping[str, Array | tuple[str, ...]], index: Index) -> di
     }
 
 
-def _lines(lines: Sequence[int], index: Index) -> Sequence[int]:
-    """Lines of some rows: a tuple of few, an array of many."""
-    if len(index) < MANY_ROWS:
-        return tuple(int(lines[k]) for k in index.tolist())
-    known = np.arange(lines.start, lines.stop, lines.step) if isinstance(lines, range) else np.asarray(lines)
-    return cast(Sequence[int], known[index])
-
-
 def joined(first: Samples, second: Samples) -> Samples:
     """Rows of two sets after each other, with the provenance of the first."""
-    return Samples(
-        np.vstack([first.joints, second.joints]),
-        {name: np.concatenate([values, second.columns[name]]) for name, values in first.columns.items()},
-        {
-            name: Labels.joined([labels, second.labels.get(name) or Labels.alike(name, len(second))])
-            for name, labels in first.labels.items()
-        },
-        (*first.lines, *second.lines),
-        {},
-        first.file,
-        first.sha256,
-    )
+    columns = {name: np.concatenate([values, second.columns[name]]) for name, values in first.columns.items()}
+    labels = {
+        name: Labels.joined([labels, second.labels.get(name) or Labels.alike(name, len(second))])
+        for name, labels in first.labels.items()
+    }
+    joints, lines = np.vstack([first.joints, second.joints]), (*first.lines, *second.lines)
+    return Samples(joints, columns, labels, lines, {}, first.file, first.sha256)
 
 
 WRITTEN = FrozenMapping({"angle": ("_deg", 180 / math.pi, 7), "length": ("_mm", 1.0, 4), "number": ("", 1.0, 9)})
@@ -425,8 +415,7 @@ JOINT_DECIMALS = 7
 def write_samples(path: str | Path, layout: Layout, samples: Samples, comments: Sequence[str]) -> None:
     """Write samples as a CSV file that `Problem.read` reads: angles in degrees, lengths in mm, numbers as they are.
 
-    layout: what a problem asks of its samples, as `Problem.layout` says. comments: lines above the header. What touches
-    of a plan are for stands beside them.
+    layout: of `Problem.layout`. comments: lines above the header. What touches of a plan are for stands beside them.
     """
     after = {name: [str(cell) for cell in samples.extra[name]] for name in ("purpose",) if name in samples.extra}
     write_text(path, samples_text(layout, samples, comments, after=after))

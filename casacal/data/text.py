@@ -26,8 +26,7 @@ MOST_COLUMNS = 16_384  # columns of a spreadsheet's sheet
 LONGEST_NAME = 200  # characters of a column's name
 SEPARATOR = "sep=,", "sep=;", "sep="  # a first line that tells Excel what stands between the cells; a tab is stripped
 NAMES = {",": "commas", ";": "semicolons", "\t": "tabs"}  # delimiters in words
-NumberedRows = list[tuple[int, list[str]]]
-"""Cells of lines, each with its number."""
+NumberedRows = list[tuple[int, list[str]]]  # cells of lines, each with its number
 
 LINE_END = re.compile(r"\r\n|\n|\r")
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
@@ -95,23 +94,6 @@ def _cells(text: str, delimiter: str) -> list[str]:
         return [cell.strip() for cell in next(csv.reader([text], delimiter=delimiter), [])]
     except csv.Error:  # a cell that is too long for a row
         return []
-
-
-def refuse_rows_set_aside(table: Table, comments: NumberedRows) -> None:
-    """Raise SamplesError for a comment below the header that has a number wherever all rows have one.
-
-    Of a table whose rows begin with numbers none but comments were set aside.
-    """
-    width = len(table.header)
-    below = [(number, cells) for number, cells in comments if number > table.header_line and len(cells) >= width]
-    if not below or all(is_number(row[0]) for row in table.rows):
-        return
-    hold_numbers = [k for k in range(1, width) if all(is_number(row[k]) for row in table.rows)]
-    meant = [number for number, cells in below if hold_numbers and all(is_number(cells[k]) for k in hold_numbers)]
-    if meant:
-        what = "the line begins with #, but holds a number in each column of numbers, so it may be a row"
-        fix = 'Rename its label, or in a CSV file quote it, as in "#1"; delete a comment, or put it above the header'
-        raise SamplesError(table.file, what, fix, line=meant[0])
 
 
 STANDARD_INPUT = "-"
@@ -241,7 +223,15 @@ def make_table(file: str, sha256: str, rows: NumberedRows, delimiter: str, comme
     lines, cells = zip(*((number, tuple(row)) for number, row in rows[1:]), strict=True)
     table = Table(file, sha256, header, header_line, cells, lines, decimal_comma=False)
     comma = delimiter != "," and has_decimal_commas(table)
-    refuse_rows_set_aside(table, comments)
+    # where all rows begin with numbers, nothing but comments was set aside
+    if not all(is_number(row[0]) for row in cells):
+        numbers = [k for k in range(1, len(header)) if all(is_number(row[k]) for row in cells)]
+        what = "the line begins with #, but holds a number in each column of numbers, so it may be a row"
+        fix = 'Rename its label, or in a CSV file quote it, as in "#1"; delete a comment, or put it above the header'
+        for number, row in comments:
+            below = number > header_line and len(row) >= len(header)
+            if below and numbers and all(is_number(row[k]) for k in numbers):
+                raise SamplesError(file, what, fix, line=number)
     return replace(table, decimal_comma=comma)
 
 

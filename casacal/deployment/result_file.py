@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from casacal.data.recognised import is_listing
+from casacal.data.repeats import is_listing
 from casacal.deployment.arm import CalibratedArm, for_instrument
 from casacal.deployment.as_data import problem_from
 from casacal.deployment.result import SCHEMA

@@ -53,8 +53,7 @@ class ArmAlone(Conditioned):
         return self.whole.tip_jacobian(self.expand(x), joints, instrument, self.free, usual=usual)
 
 
-ArmProblem: TypeAlias = BoundProblem | ArmAlone
-"""A problem from which figures of the arm are computed, with or without marginalised unknowns."""
+ArmProblem: TypeAlias = BoundProblem | ArmAlone  # what figures of the arm are computed from
 
 
 def arm_alone(bound: BoundProblem, x: Array, *, motion: bool = False) -> tuple[ArmProblem, Array]:
@@ -82,9 +81,8 @@ def bind_further(bound: BoundProblem, *samples: Samples) -> BoundProblem:
             slots.append(replace(slot, first=slots[-1].first + slots[-1].unknown.size))
     if len(slots) == len(nominals):
         return bound.on(*samples)
-    return BoundProblem(
-        bound.problem, slots, samples, bound.backend, scale=bound.scale, surveys=bound.surveys, known=bound.known
-    )
+    like = (bound.problem, slots, samples, bound.backend)
+    return BoundProblem(*like, scale=bound.scale, surveys=bound.surveys, known=bound.known)
 
 
 def extended(further: BoundProblem, x: Array) -> Array:

@@ -13,15 +13,13 @@ import numpy as np
 from casacal.data.columns import Labels
 from casacal.data.samples import Measurements, Samples, sets_of
 from casacal.errors import ProblemError, SamplesError
-from casacal.fit.blocks import Block, make_block
 from casacal.fit.kernel_rows import FEW, KernelRows, RawGraph, constraint_set, stated_prior
 from casacal.fit.least_squares import DampedStep, ExtendedPass, FilterPass, Gaussian, LeastSquares, Normal
 from casacal.fit.nominal import surveys_of
-from casacal.fit.slots import Slot, make_slots, nominals
-from casacal.kernels.backend import VARIABLE
+from casacal.fit.slots import Block, Slot, make_block, make_slots, nominals
 from casacal.kernels.filter_passes import FilterRows
 from casacal.kernels.losses import Loss
-from casacal.kernels.native_rows import NativeKernels, NativeNormal, PackedPieces, WeightedNormal
+from casacal.kernels.native_rows import VARIABLE, NativeKernels, NativeNormal, PackedPieces
 from casacal.model.kinematics import stacked_poses
 from casacal.model.problem import Problem
 from casacal.model.robot import refuse_open
@@ -36,11 +34,9 @@ if TYPE_CHECKING:
 COMPACT, HELD = 50_000, 10_000_000  # rows, and numbers of a whole Jacobian, beyond which none is held
 MOST_SUMS = 4_000_000  # numbers that the sums of all pieces may take: beyond, each piece sums what it sees alone
 
-
 OTHERS = ""  # stands for every face that is not named
 
-SHARED = "\0shared"
-"""Stands for the part of the noise's variance that repeated touches share; no label holds a zero byte."""
+SHARED = "\0shared"  # the part of the noise's variance that repeated touches share; no label holds a zero byte
 
 REPEATABILITY = "\0joints"
 """Stands for what joints do not repeat, rad (`PER_RAD` mm of a sliding one are one), on top of the rest.
@@ -106,9 +102,15 @@ def bind(
     bound = BoundProblem(problem, slots, sets, backend, threads, known=stated_prior(problem.constraints, slots))
     if bound.unknowns and not np.isfinite(bound.normal(bound.x0).gradient).all():
         _refuse_kinks(bound)
-    if bound.constraints is not None:
-        _refuse_held(bound)
-    if bound.constraints is not None and (twice := bound.constraints.redundant(bound.feasible(bound.x0))):
+    if (known := bound.constraints) is None:
+        return bound
+    values, _ = known.evaluate(bound.x0)
+    for k in np.flatnonzero(~known.depends.any(axis=1) & ~((known.low <= values) & (values <= known.high))):
+        if abs(values[k] - known.low[k]) > 1e-9 * (1 + abs(values[k])):
+            ends = [f"{end:.6g}" for end in dict.fromkeys((known.low[k], known.high[k]))]
+            what = f"'{known.names[k]}' is {values[k]:.6g} of unknowns that are held, and is to be {' to '.join(ends)}"
+            raise ProblemError(what, "Free one of them, correct the drawing, or leave the constraint out")
+    if twice := known.redundant(bound.feasible(bound.x0)):
         named = " and ".join(f"'{name}'" for name in twice)
         raise ProblemError(f"The equalities {named} say the same of the unknowns", "Leave one of them out")
     return bound
@@ -116,15 +118,7 @@ def bind(
 
 MOST_UNKNOWNS = 2_000  # with which a calibration takes about a minute and a gigabyte
 ABSURD = 1e12  # mm, rad or of whatever is read; squares of more overflow
-
-
 FEW_ROWS = 1000  # up to which a fit with terms beside the geometry takes tenths of a second in blocks; a compiler, ten
-
-
-def _few_in_blocks(problem: Problem, samples: Sequence[Samples]) -> str | None:
-    """The back end of few rows with terms beside the geometry where nobody asks for one; None leaves it open."""
-    few = bool(problem.terms) and sum(map(len, samples)) <= FEW_ROWS and VARIABLE not in os.environ
-    return "blocks" if few else None
 
 
 def _refuse_absurd(samples: Samples) -> None:
@@ -139,29 +133,15 @@ def _refuse_absurd(samples: Samples) -> None:
             raise SamplesError(samples.file, what, "Check the value and its unit", line=line, also=also)
 
 
-def _refuse_held(bound: BoundProblem) -> None:
-    """Raise ProblemError for a constraint on held unknowns alone that these do not meet."""
-    known = bound.constraints
-    assert known is not None
-    values, _ = known.evaluate(bound.x0)
-    for k in np.flatnonzero(~known.depends.any(axis=1) & ~((known.low <= values) & (values <= known.high))):
-        if abs(values[k] - known.low[k]) > 1e-9 * (1 + abs(values[k])):
-            ends = [f"{end:.6g}" for end in dict.fromkeys((known.low[k], known.high[k]))]
-            what = f"'{known.names[k]}' is {values[k]:.6g} of unknowns that are held, and is to be {' to '.join(ends)}"
-            raise ProblemError(what, "Free one of them, correct the drawing, or leave the constraint out")
-
-
 def _refuse_kinks(bound: BoundProblem) -> None:
     """Raise ProblemError for the first row with a residual at the nominal but no derivative, as of a norm at zero."""
     smooth = np.isfinite(bound.jacobian(bound.x0)).all(axis=1)
     for row in np.flatnonzero(~smooth & np.isfinite(bound.residual(bound.x0))).tolist():
         name, (block, sample, _) = type(bound.problem.instruments[bound._instrument(row)]).__name__, bound._locate(row)
         where = f"{block.samples.file}, line {block.samples.lines[sample]}"
-        raise ProblemError(
-            f"{where}: the residual of {name} has no finite derivative in this row, as a norm has none at zero, "
-            "nor acos at one",
-            "Write it smoothly, such as sqrt(sumsqr(v) + 1e-6) for norm_2(v) or atan2 for acos; or leave the row out",
-        )
+        what = f"{where}: the residual of {name} has no finite derivative in this row, as a norm has none at zero"
+        fix = "Write it smoothly, such as sqrt(sumsqr(v) + 1e-6) for norm_2(v) or atan2 for acos; or leave the row out"
+        raise ProblemError(f"{what}, nor acos at one", fix)
 
 
 class BoundProblem(LeastSquares):
@@ -208,12 +188,19 @@ class BoundProblem(LeastSquares):
         self._backend, self._threads = backend, thread_count(threads)  # as requested; `backend` is the one in use
         if stated is None:
             made = [make_block(problem, i, self.slots, some, self.surveys[i]) for i, some in enumerate(samples)]
-            used = _few_in_blocks(problem, samples) if backend is None else backend
-            stated = KernelRows(made, self.unknowns, used, self._threads)
+            few = problem.terms and sum(map(len, samples)) <= FEW_ROWS
+            if backend is None and few and VARIABLE not in os.environ:
+                backend = "blocks"
+            stated = KernelRows(made, self.unknowns, backend, self._threads)
         self._stated = self._rows = stated  # with the noise as it was stated
         self.blocks = stated.blocks
-        if self.scale:
-            self.blocks = self._scaled(self.scale)
+        if self.scale:  # what was stated times the factor of each row, with what joints do not repeat
+            whole, (joint, rad), found = self.noise_factors(scale), repeatability(scale), list[Block]()
+            for i, block in enumerate(self.blocks):
+                noise = block.noise * whole[self.sample_rows(i)].reshape(block.noise.shape)
+                noise = np.hypot(noise, rad * block.joint_noise(joint)) if rad > 0 else noise
+                found.append(replace(block, noise=noise))
+            self.blocks = tuple(found)
             self._rows = stated.with_noise(self.blocks)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -296,14 +283,6 @@ class BoundProblem(LeastSquares):
             again = self.repeats
             found = found * np.sqrt(1 + (again.sizes[again.codes] - 1) * shared)[self.sample_of]
         return np.asarray(found)
-
-    def _scaled(self, scale: Mapping[str, float]) -> tuple[Block, ...]:
-        """Blocks whose noise is what was stated times the factor of each row, with what joints do not repeat."""
-        whole, (joint, rad), found = self.noise_factors(scale), repeatability(scale), []
-        for i, block in enumerate(self.blocks):
-            noise = block.noise * whole[self.sample_rows(i)].reshape(block.noise.shape)
-            found.append(replace(block, noise=np.hypot(noise, rad * block.joint_noise(joint)) if rad > 0 else noise))
-        return tuple(found)
 
     @property
     def block(self) -> Block:
@@ -471,17 +450,10 @@ class BoundProblem(LeastSquares):
         threads = self._threads if self.rows >= FEW else 1
         return NativeNormal(self._packed, self.x0, self.start_std, self.prior_information, threads)
 
-    @cached_property
-    def _weighted(self) -> WeightedNormal | None:
-        """Sums in C of rows weighted by a loss; None where some are not evaluated in C, or threads share them."""
-        return None if self._packed is None or self.rows >= FEW else WeightedNormal(self._packed, self._rows.noise)
-
     def normal(self, x: Array, loss: Loss | None = None) -> Normal:
         """Cost, gradient and information of the data, accumulated in the kernels; rows weighted by a loss."""
         if loss is None and self._native is not None:
             return Normal(*self._native.sums(x))
-        if loss is not None and self._weighted is not None:
-            return Normal(*self._weighted.sums(x, loss))
         cost, gradient, information = 0.0, np.zeros(x.size), np.zeros((x.size, x.size))
         for piece, some, s in self._rows.sums(x, loss):
             cost += some
@@ -513,9 +485,8 @@ class BoundProblem(LeastSquares):
         """Whitened residual k at many states (m, n): (m,)."""
         block, sample, component = self._locate(k)
         pattern = block.pattern[sample]
-        (e,) = block.model.batch("residual")(
-            states[:, block.columns[pattern]], block.constants[pattern], block.data[sample]
-        )
+        z, c, d = states[:, block.columns[pattern]], block.constants[pattern], block.data[sample]
+        (e,) = block.model.batch("residual")(z, c, d)
         return np.asarray(e[:, component] / block.noise[sample, component])
 
     def row_jacobian(self, k: int, x: Array) -> tuple[float, Array]:

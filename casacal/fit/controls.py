@@ -11,8 +11,7 @@ from casacal.fit.least_squares import Conditioned, LeastSquares, Result, Status,
 from casacal.fit.lm import lm
 from casacal.linalg import right_directions
 
-UNMOVED = 1.01
-"""Residual RMS after the step, over that before it, beyond which the step is halved: the plane must not notice."""
+UNMOVED = 1.01  # residual RMS over that before the step, beyond which it is halved: the plane must not notice
 HALVINGS = 60
 UNSEEN = 0.3
 """Singular value of the whitened Jacobian, in prior standard deviations, below which a direction counts as unseen: one
@@ -76,21 +75,15 @@ def scipy_least_squares(problem: LeastSquares, *, max_evaluations: int = 200) ->
         np.zeros(problem.unknowns),
         lambda y: np.vstack([problem.jacobian(problem.x0 + scale * y) * scale, pull]),
         method="trf",
-        xtol=TOLERANCE,
-        ftol=TOLERANCE,
-        gtol=TOLERANCE,
+        **dict.fromkeys(("xtol", "ftol", "gtol"), TOLERANCE),
         max_nfev=max_evaluations,
     )
-    x = problem.x0 + scale * outcome.x
-    if not np.isfinite(outcome.cost):
-        status = Status.NOT_FINITE
-    else:
-        status = Status.CONVERGED if outcome.success else Status.MAX_STEPS
+    status = Status.CONVERGED if outcome.success else Status.MAX_STEPS
     return Result(
         method="scipy",
         problem=problem,
-        x=x,
-        status=status,
+        x=problem.x0 + scale * outcome.x,
+        status=status if np.isfinite(outcome.cost) else Status.NOT_FINITE,
         trace={"cost": np.array([outcome.cost])},
         steps=int(outcome.nfev),
         residual_rows=int(outcome.nfev) * problem.rows,

@@ -105,8 +105,7 @@ def settled(problem: LeastSquares, belief: Belief) -> Belief:
 
     The mean is brought onto curved equalities, and the covariance turned into their tangent. Where it crosses bounds it
     becomes the point within them that is nearest in the metric of the covariance, and the bounds that hold it there are
-    taken in as equalities. A linear problem so has its exact minimum and covariance. A mean that nothing brings within
-    stays where the rows left it.
+    taken in as equalities: exact for a linear problem. A mean that nothing brings within stays where the rows left it.
     """
     known, scale = problem.constraints, problem.start_std
     if known is None or not np.isfinite(belief.root).all():
@@ -137,12 +136,9 @@ def take_in(problem: LeastSquares, belief: Belief, first: int, process_root: Arr
     fused = problem.filter_pass(first, belief.mean, belief.root) if process_root is None else None
     if fused is not None and fused.stop > first:
         return fused
-    update = cubature_update(
-        predict(belief, process_root),
-        lambda states: problem.row(first, problem.x0 + problem.start_std * states),
-        0.0,
-        1.0,
-    )
+    x0, scale = problem.x0, problem.start_std
+    predicted = predict(belief, process_root)
+    update = cubature_update(predicted, lambda states: problem.row(first, x0 + scale * states), 0.0, 1.0)
     innovation = np.array([update.innovation]), np.array([update.innovation_std])
     return FilterPass(first + 1, update.belief.mean, update.belief.root, update.belief.mean[None], *innovation)
 
@@ -235,8 +231,16 @@ def ekf(problem: LeastSquares, *, progress: Callable[[int, float], None] | None 
     first = begun(problem)
     mean, covariance = first.mean, first.root @ first.root.T
     done = problem.extended_pass(mean, covariance)
-    if done is None:
-        done = _row_by_row(problem, mean, covariance, progress)
+    if done is None:  # no kernel takes in all rows
+        moved, innovations, stds = np.empty((problem.rows, mean.size)), np.empty(problem.rows), np.empty(problem.rows)
+        for k in range(problem.rows):
+            predicted, gradient = problem.row_jacobian(k, problem.x0 + scale * mean)
+            innovations[k] = -predicted
+            mean, covariance, stds[k] = linear_update(mean, covariance, scale * gradient, -predicted, 1.0)
+            moved[k] = mean
+            if progress is not None:
+                progress(k + 1, abs(predicted))
+        done = ExtendedPass(mean, covariance, moved, innovations, stds)
     elif progress is not None and problem.rows:
         progress(problem.rows, abs(float(done.innovations[-1])))
     finite = bool(np.isfinite(done.mean).all() and np.isfinite(done.covariance).all())
@@ -256,22 +260,6 @@ def ekf(problem: LeastSquares, *, progress: Callable[[int, float], None] | None 
         residual_rows=problem.rows,
         jacobian_rows=problem.rows,
     )
-
-
-def _row_by_row(
-    problem: LeastSquares, mean: Array, covariance: Array, progress: Callable[[int, float], None] | None
-) -> ExtendedPass:
-    """The pass where no fused kernel does it."""
-    scale, means = problem.start_std, np.empty((problem.rows, mean.size))
-    innovations, stds = np.empty(problem.rows), np.empty(problem.rows)
-    for k in range(problem.rows):
-        predicted, gradient = problem.row_jacobian(k, problem.x0 + scale * mean)
-        innovations[k] = -predicted
-        mean, covariance, stds[k] = linear_update(mean, covariance, scale * gradient, -predicted, 1.0)
-        means[k] = mean
-        if progress is not None:
-            progress(k + 1, abs(predicted))
-    return ExtendedPass(mean, covariance, means, innovations, stds)
 
 
 UNUSUAL = 5.0  # standard deviations above its mean at which a chi-square calls for an explanation

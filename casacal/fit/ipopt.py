@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -15,52 +15,22 @@ import numpy as np
 from casacal.errors import CasacalError, ProblemError, UnknownNameError, came
 from casacal.fit.least_squares import LeastSquares, Result, Status, nothing_unknown
 from casacal.kernels.losses import Loss
-from casacal.values import Array, Index
+from casacal.values import Array
 
-
-class RawRows(Protocol):
-    """Rows that see the same raw coordinates."""
-
-    columns: Index
-    """Which of v they see (z,)."""
-
-    def __call__(self, v: Array, loss: Loss | None = None) -> tuple[float, Array, Array]:
-        """Cost of the rows at v (n,), its gradient (z,) and Hessian (z, z)."""
-
-
-class RawForm(Protocol):
-    """The symbolic form of a problem: its objective over raw coordinates v, and what makes them valid."""
-
-    blocks: Sequence[RawRows]
-    start: Array
-    """v of the nominal."""
-    constraints: Any
-    """v -> g, zero where v is valid; after that the constraints of the problem (m,)."""
-    low: Array
-    high: Array
-    """Between what g lies: zeros, and then the constraints' ends."""
-    local: Any
-    """v -> x, the local coordinates of the other estimators."""
-    prior: Callable[..., Any]
-    """v -> cost of the prior, gradient, entries of the Hessian's upper triangle."""
-    prior_places: tuple[Index, Index]
-    """Rows and columns of those entries."""
-    bend: Callable[..., Any]
-    """(v, multipliers) -> entries of the Hessian of the constraints times their multipliers, upper triangle."""
-    bend_places: tuple[Index, Index]
-    """Rows and columns of those entries."""
+if TYPE_CHECKING:
+    from casacal.fit.kernel_rows import RawGraph
 
 
 class Objective:
     """The objective in scaled raw coordinates y, v = start + scales * y, with exact gradient and Hessian.
 
     Each coordinate is in units of its own conditional standard deviation at the start: gradients then vanish to
-    rounding. All three are found together, once for each y that IPOPT asks about. Of the Hessian only what is not zero
-    is held: unknowns of different faces never meet.
+    rounding. All three are found together, once for each y. Of the Hessian only what is not zero is held: faces never
+    meet.
     """
 
     def __init__(
-        self, graph: RawForm, problem: LeastSquares, loss: Loss | None = None, start: Array | None = None
+        self, graph: RawGraph, problem: LeastSquares, loss: Loss | None = None, start: Array | None = None
     ) -> None:
         n = graph.start.size
         self._graph, self._problem, self._loss = graph, problem, loss
@@ -172,7 +142,7 @@ def nlpsol(
         raise ProblemError("IPOPT needs the symbolic form of a problem and this one has none", "Use lm instead")
     if options is not None and not isinstance(options, Mapping):
         raise CasacalError(f"Got {came(options)} as the options of '{solver}'", "Give a dict of options by name")
-    graph: RawForm = problem.graph
+    graph: RawGraph = problem.graph
     stages, start = [loss], graph.start
     while (first := stages[0]) is not None and first.after is not None:
         stages.insert(0, first.after)
@@ -238,7 +208,7 @@ def check_solver(name: str) -> None:
 
 
 def _program(
-    graph: RawForm, objective: Objective, *, exact: bool
+    graph: RawGraph, objective: Objective, *, exact: bool
 ) -> tuple[dict[str, Any], dict[str, Any], list[_Call]]:
     """The nonlinear program in scaled raw coordinates, options, and what must outlive the solver.
 

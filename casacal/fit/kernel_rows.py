@@ -12,10 +12,9 @@ import casadi as ca
 import numpy as np
 
 from casacal.errors import ProblemError
-from casacal.fit.blocks import Block
 from casacal.fit.constrained import ConstraintSet
 from casacal.fit.least_squares import Gaussian, LeastSquares
-from casacal.fit.slots import Slot
+from casacal.fit.slots import Block, Slot
 from casacal.kernels.block_rows import Buffered, CurvatureKernel
 from casacal.kernels.losses import Loss
 from casacal.kernels.rows import Lanes, Piece
@@ -30,18 +29,13 @@ Places: TypeAlias = tuple[Index, Index]
 
 @dataclass(frozen=True)
 class RawBlock:
-    """Rows whose residuals depend on the same raw coordinates."""
+    """Rows whose residuals depend on the same raw coordinates, with the constants (nc,) that they share."""
 
     kernel: CurvatureKernel
-    """Cost, gradient and Hessian of the rows' raw residual."""
-    columns: Index
-    """Positions of the kernel's v in the whole raw vector."""
+    columns: Index  # positions of the kernel's v in the whole raw vector
     constants: Array
-    """Constants that the rows share (nc,)."""
     lanes: Lanes
-    """The rows as the kernel reads them."""
     threads: int
-    """Number of threads that share the rows."""
 
     def __call__(self, v: Array, loss: Loss | None = None) -> tuple[float, Array, Array]:
         """Cost of the rows, its gradient (z,) and Hessian (z, z) by what they see of v (n,)."""
@@ -49,7 +43,13 @@ class RawBlock:
 
 
 class RawGraph:
-    """All rows in raw coordinates, with what makes these valid: attributes as of `casacal.fit.ipopt.RawForm`."""
+    """The symbolic form of a problem: its objective over raw coordinates v, and what makes these valid.
+
+    blocks: rows that see the same of v. start: v of the nominal. constraints: v -> g, zero where v is valid, and after
+    that the constraints of the problem (m,); low, high: between what g lies. local: v -> x, the local coordinates of
+    the other estimators. prior: v -> its cost, gradient and entries of the Hessian's upper triangle, at `prior_places`
+    (rows, columns). bend: (v, multipliers) -> entries, at `bend_places`, of the Hessian of the constraints times these.
+    """
 
     def __init__(
         self,
@@ -165,30 +165,26 @@ def _by_entries(function: ca.Function, i: int) -> tuple[Buffered, Places]:
 
 def _prior(slots: Sequence[Slot], problem: LeastSquares) -> ca.Function:
     """v -> the prior's cost, gradient and upper Hessian: unknowns that are known together are one piece of it."""
-    pieces, whole, x0 = list[tuple[ca.SX, ...]](), problem.prior_information, problem.x0
-    alone = problem.known is None
+    pieces, alone = list[tuple[ca.SX, ...]](), problem.known is None
     for numbers, some in itertools.groupby(slots, lambda slot: alone and isinstance(slot.unknown, Parameter)):
         for together in [list(some)] if numbers or not alone else [[slot] for slot in some]:
             first = together[0].first
             here = slice(first, first + sum(slot.unknown.size for slot in together))
-            pieces.append(_prior_of(together, whole[here, here], x0[here]))
+            information, x0 = problem.prior_information[here, here], problem.x0[here]
+            own = ca.SX.sym("v", sum(slot.unknown.raw_size for slot in together))
+            if not information.any():  # as faces mostly are
+                pieces.append((own, ca.SX(1, 1), ca.SX.zeros(own.numel()), ca.SX(own.numel(), own.numel())))
+                continue
+            starts = np.cumsum([0, *(slot.unknown.raw_size for slot in together)])
+            parts = [(slot, own[a:b]) for slot, a, b in zip(together, starts, starts[1:], strict=False)]
+            local = (slot.unknown.raw_local(slot.nominal, part) for slot, part in parts if slot.unknown.size)
+            away = ca.vertcat(*local) - ca.DM(x0)
+            share = ca.dot(away, ca.mtimes(ca.sparsify(ca.DM(information)), away)) / 2
+            bend, slope = ca.hessian(share, own)
+            pieces.append((own, *ca.cse([share, slope, ca.triu(bend)])))
     v, cost, gradient, hessian = zip(*pieces, strict=True)
     total = ca.densify(ca.sum1(ca.vertcat(*cost)))
     return ca.Function("prior", [ca.vertcat(*v)], [total, ca.densify(ca.vertcat(*gradient)), ca.diagcat(*hessian)])
-
-
-def _prior_of(some: Sequence[Slot], information: Array, x0: Array) -> tuple[ca.SX, ...]:
-    """Symbols v of some unknowns; their part of the prior's cost, gradient and upper Hessian."""
-    v = ca.SX.sym("v", sum(slot.unknown.raw_size for slot in some))
-    if not information.any():  # as faces mostly are
-        return v, ca.SX(1, 1), ca.SX.zeros(v.numel()), ca.SX(v.numel(), v.numel())
-    starts = np.cumsum([0, *(slot.unknown.raw_size for slot in some)])
-    parts = [(slot, v[a:b]) for slot, a, b in zip(some, starts, starts[1:], strict=False) if slot.unknown.size]
-    away = ca.vertcat(*(slot.unknown.raw_local(slot.nominal, part) for slot, part in parts)) - ca.DM(x0)
-    pull = ca.mtimes(ca.sparsify(ca.DM(information)), away)
-    cost = ca.dot(away, pull) / 2
-    hessian, gradient = ca.hessian(cost, v)
-    return v, *ca.cse([cost, gradient, ca.triu(hessian)])
 
 
 FEW = 8_192  # rows below which all stay together: threads would spend more on one another than they save
@@ -202,8 +198,7 @@ STATES = 32  # candidates evaluated together, when there are many
 class KernelRows:
     """Residuals, slopes and their sums over all rows.
 
-    How rows fall into pieces depends on their number alone, and pieces are summed in order: results are the same
-    whatever the number of threads.
+    How rows fall into pieces depends on their number alone, and pieces are summed in order: threads change no digit.
     """
 
     def __init__(
@@ -215,8 +210,7 @@ class KernelRows:
         packed: KernelRows | None = None,
     ) -> None:
         self.blocks, self._unknowns, self._backend, self._shared_by = tuple(blocks), unknowns, backend, threads
-        self._packed = packed
-        """Rows with other noise whose packed data are reused; None where these are packed anew."""
+        self._packed = packed  # rows with other noise whose packed data are reused; None where these are packed anew
         self._kernels = [block.model.rows(backend) for block in blocks]
         self._threads = threads if sum(len(block.noise) for block in blocks) >= FEW else 1
         self._starts = np.cumsum([0, *(block.noise.size for block in blocks)])

@@ -1,8 +1,7 @@
 """The seam between models and estimators: f(x) = |r(x)|^2 / 2 + a prior, as an estimator sees it. NumPy alone.
 
 `LeastSquares` is whitened residuals, their Jacobian, normal equations and rows one by one; `Gaussian` is a prior of
-unknowns that are known together; `Conditioned` is a problem in some of its unknowns, the others at known values. An
-estimator returns a `Result`.
+unknowns that are known together; `Conditioned` is a problem in some unknowns; an estimator returns a `Result`.
 """
 
 from __future__ import annotations
@@ -64,24 +63,6 @@ class Gaussian(Value):
                 k = self.names.index(name)
                 mean[j], std[j] = self.mean[k], np.sqrt(self.covariance[k, k])
         return mean, std
-
-
-def prior_rows(names: Sequence[str], prior_std: Array, known: Gaussian | None) -> Array:
-    """Whitened rows W (k, n) of a prior: W'W is its information, zero along what is flat.
-
-    Each unknown has its own standard deviation (n,; infinite: flat), or is one of those that are `known` together.
-    """
-    together = {} if known is None else {name: j for j, name in enumerate(known.names)}
-    firm = [j for j, name in enumerate(names) if np.isfinite(prior_std[j]) and name not in together]
-    rows = np.zeros((len(firm), len(names)))
-    rows[np.arange(len(firm)), firm] = 1.0 / prior_std[firm]
-    if known is None:
-        return rows
-    held = [j for j, name in enumerate(names) if name in together and np.isfinite(prior_std[j])]
-    index = [together[names[j]] for j in held]
-    dense = np.zeros((len(held), len(names)))
-    dense[:, held] = whitening_of(known.covariance[np.ix_(index, index)])
-    return np.vstack([rows, dense])
 
 
 @dataclass(frozen=True)
@@ -239,9 +220,8 @@ class LeastSquares(ABC):
         step = damped_solution(information, gradient, damping)
         if step is None:
             return None
-        return DampedStep(
-            x + scale * step, float(step @ (information @ step)), float(step @ (damping * step - gradient)) / 2
-        )
+        fall = float(step @ (damping * step - gradient)) / 2
+        return DampedStep(x + scale * step, float(step @ (information @ step)), fall)
 
     def revealing_step(self, x: Array, normal: Normal, damping: float, loss: Loss | None = None) -> DampedStep | None:
         """Damped step by singular values, where normal equations lose digits; None where not all is finite."""
@@ -300,8 +280,19 @@ class LeastSquares(ABC):
 
     @cached_property
     def prior_rows(self) -> Array:
-        """W (k, n): the prior as whitened rows."""
-        return prior_rows(self.names, self.prior_std, self.known)
+        """W (k, n): the prior as whitened rows, W'W its information; none along what is flat."""
+        names, together = self.names, () if self.known is None else self.known.names
+        finite = [j for j in range(self.unknowns) if np.isfinite(self.prior_std[j])]
+        firm = [j for j in finite if names[j] not in together]
+        rows = np.zeros((len(firm), len(names)))
+        rows[np.arange(len(firm)), firm] = 1.0 / self.prior_std[firm]
+        if self.known is None:
+            return rows
+        held = [j for j in finite if names[j] in together]
+        index = [together.index(names[j]) for j in held]
+        dense = np.zeros((len(held), len(names)))
+        dense[:, held] = whitening_of(self.known.covariance[np.ix_(index, index)])
+        return np.vstack([rows, dense])
 
     @cached_property
     def prior_information(self) -> Array:
@@ -341,8 +332,7 @@ class Conditioned(LeastSquares):
     """A problem in the unknowns that `free` marks (n,), about a given x (n,).
 
     The others are held there: what is known of them together with the free ones says where these are to be expected.
-    Those that `out` marks are not held but taken out: they move freely with the free ones, and information is what is
-    then left. Positions in x are not those of the whole.
+    Those that `out` marks are not held but move freely with the free ones, and information is what is then left.
     """
 
     def __init__(self, whole: LeastSquares, free: Rows, at: Array, *, out: Rows | None = None) -> None:

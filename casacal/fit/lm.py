@@ -2,8 +2,7 @@
 
 Minimises f(x) = 1/2 |r(x)|^2 + 1/2 |W (x - x0)|^2. In prior-scaled coordinates (`start_std` where the prior is flat)
 each step solves (H + mu I) step = -g with H = J'J + Lambda. Scaling flat unknowns by their columns (More 1978) instead
-would damp directions that only the prior holds, such as a shift of arm and planes together, a million times more than
-the others.
+would damp directions that only the prior holds, such as a shift of arm and planes together, a million times more.
 
 This is the corrected form of eqs (25)-(29) of arXiv:2208.02652: minus sign (E14), one joint step (E15), unit normals
 (E16), gain-ratio damping (E13). How to damp, which step to try, whether to accept it and when to stop the paper leaves
@@ -34,20 +33,17 @@ from casacal.fit.least_squares import DampedStep, LeastSquares, Normal, Result, 
 from casacal.kernels.losses import Loss
 from casacal.values import Array
 
-FASTEST_DECREASE = 1 / 3
-"""Largest fall of the damping in one step: Nielsen, Damping parameter in Marquardt's method, 1999, eq (2.16)."""
+FASTEST_DECREASE = 1 / 3  # of the damping in a step: Nielsen, Damping parameter in Marquardt's method, 1999, eq (2.16)
 
 ROUNDING = 1e-11
 """Part of (1 + f) below which a fall of f is lost in rounding: of metres in readings of 10 um, 1e-12 still is noise."""
 SHORT = 0.1  # posterior standard deviations below which the undamped step is worth a look
 
-CLOSE = 5.0
-"""Posterior standard deviations of a step after which the next is often short, as steps shrink by their square."""
+CLOSE = 5.0  # posterior standard deviations of a step after which the next is often short: they shrink by their square
 
 NEAR = 1e-3  # posterior standard deviations from the minimum that are as good as none, where rounding hides the rest
 
-PATIENCE = 5
-"""Undamped steps that may fail to be the shortest so far: rounding shortens none, slow convergence shortens each."""
+PATIENCE = 5  # undamped steps that may fail to be the shortest: rounding shortens none, slow convergence shortens each
 
 STUCK_DAMPING = 1e50  # damping beyond which there is nothing left to try
 
@@ -57,8 +53,7 @@ class Damping:
     """Damping mu, the constant lambda of eqs (25)-(29), here led by the gain ratio (E13; Nielsen 1999)."""
 
     mu: float
-    growth: float = 2.0
-    """Factor of mu at the next rejected step: Nielsen's nu."""
+    growth: float = 2.0  # factor of mu at the next rejected step: Nielsen's nu
 
     def accepted(self, ratio: float) -> Damping:
         """After a step with this gain ratio: a third where the model was right, up to double where it was not."""

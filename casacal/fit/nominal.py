@@ -23,8 +23,7 @@ from casacal.model.trace import RowModel
 from casacal.model.unknown import Unknown
 from casacal.values import EMPTY, Array, Index
 
-Proposed = Mapping[str, Array]
-"""Nominal values that rows have proposed, by the instrument's own key."""
+Proposed = Mapping[str, Array]  # nominal values that rows have proposed, by the instrument's own key
 
 
 def proposed_by(problem: Problem, i: int, named: Mapping[str, Array]) -> Proposed:
@@ -48,15 +47,12 @@ def row_columns(
 
 def surveys_of(problem: Problem, samples: Sequence[Samples], named: Mapping[str, Array]) -> tuple[Survey | None, ...]:
     """Survey of each instrument's rows for the terms that ask for one."""
-    asked = [
-        any(term.columns(problem.symbols_of(i).site) for term in problem.terms) for i in range(len(problem.instruments))
-    ]
-    return tuple(
-        Survey.of(some, nominal_tips(problem, i, some, proposed_by(problem, i, named)), problem.instruments[i])
-        if asked[i]
-        else None
-        for i, some in enumerate(samples)
-    )
+    found = list[Survey | None]()
+    for i, (some, instrument) in enumerate(zip(samples, problem.instruments, strict=True)):
+        asked = any(term.columns(problem.symbols_of(i).site) for term in problem.terms)
+        tips = nominal_tips(problem, i, some, proposed_by(problem, i, named)) if asked else None
+        found.append(None if tips is None else Survey.of(some, tips, instrument))
+    return tuple(found)
 
 
 def nominal_sight(problem: Problem, i: int, samples: Samples) -> Sight:
@@ -85,10 +81,8 @@ def _tips_at(problem: Problem, i: int, inputs: tuple[Array, Array, Array]) -> Ar
     if np.isnan(tips).all() and any(unknowns[key].nominal is None for key in model.constants):
         tips = stacked_poses(model.columnwise("pose")(*inputs))[:, :3, 3]
     if not np.isfinite(tips).all():
-        raise ProblemError(
-            f"The tip of {type(problem.instruments[i]).__name__} is not finite at the nominal",
-            "Check nominal values, and that tip uses no unknown without one",
-        )
+        what = f"The tip of {type(problem.instruments[i]).__name__} is not finite at the nominal"
+        raise ProblemError(what, "Check nominal values, and that tip uses no unknown without one")
     return tips
 
 
@@ -117,11 +111,9 @@ def _instrument_columns(problem: Problem, i: int, samples: Samples) -> dict[str,
             fix = f"Add it: which of {', '.join(values)} each row is of"
             raise ProblemError(f"{samples.file} has no column '{instrument.known_by}'", fix)
         if instrument.knows_every_label and (unlisted := sorted(set(labels.names) - set(values))):
-            raise ProblemError(
-                f"{samples.file}: some rows have the {instrument.known_by} '{unlisted[0]}', which "
-                f"{type(instrument).__name__} does not list",
-                f"It lists {', '.join(values)}: correct the rows, or add it to the problem",
-            )
+            what = f"{samples.file}: some rows have the {instrument.known_by} '{unlisted[0]}'"
+            fix = f"It lists {', '.join(values)}: correct the rows, or add it to the problem"
+            raise ProblemError(f"{what}, which {type(instrument).__name__} does not list", fix)
         columns[name] = np.array([values.get(label, 0.0) for label in labels.names])[labels.codes]
     return columns
 
@@ -152,8 +144,7 @@ class _SoughtRows:
 
     model: RowModel
     data: Array
-    parts: Mapping[str, tuple[Index, Index, Index]]
-    """Rows (k, 1) of each unknown that is sought, and its positions in z and u."""
+    parts: Mapping[str, tuple[Index, Index, Index]]  # rows (k, 1) of each unknown that is sought, positions in z and u
 
     def fitted(self, begin: Array, c: Array, pull: Array) -> Any:
         """Least squares from `begin` (u,), with a pull towards zero; None where something is not finite on the way."""

@@ -1,8 +1,7 @@
 """The population methods on the common objective: annealing (M1), particle swarm (M2), differential evolution (M4).
 
 All search the same box with the same budget of rows; what they return is told at `annealing`. Unknowns that only say
-where the touched face or the device stands (`LeastSquares.datum`) are not searched: `Search` puts them where they fit
-each candidate best.
+where the touched face or the device stands (`LeastSquares.datum`) are put by `Search` where they fit each candidate.
 """
 
 from __future__ import annotations
@@ -79,10 +78,8 @@ class Search:
         placed = problem.datum if not problem.datum.all() else np.zeros(problem.unknowns, dtype=bool)
         self.placed: Index = np.flatnonzero(placed)
         self.searched: Index = np.flatnonzero(~placed)
-        self.unknowns = self.searched.size
-        """Number of unknowns that are searched."""
-        self.allowed = math.inf if budget is None else budget // problem.rows
-        """Number of evaluations that the budget allows."""
+        self.unknowns = self.searched.size  # number of unknowns that are searched
+        self.allowed = math.inf if budget is None else budget // problem.rows  # evaluations in the budget
         self.evaluations, self.slopes_taken, self.last_fall = 0, 0, (0, math.inf)
         self.best_cost, self.best = math.inf, problem.x0.copy()
         self.history: list[tuple[int, float]] = []
@@ -335,7 +332,10 @@ def evolution(
         costs = search.costs(points)
         while True:
             told = memory[rng.integers(MEMORY, size=size)]
-            factors, rates = _factors(rng, told[:, 0]), np.clip(rng.normal(told[:, 1], SPREAD), 0, 1)
+            factors = np.zeros(size)  # Cauchy's about those in memory: drawn again where not positive, at most one
+            while (bad := factors <= 0).any():
+                factors[bad] = told[bad, 0] + SPREAD * rng.standard_cauchy(int(bad.sum()))
+            factors, rates = np.minimum(factors, 1.0), np.clip(rng.normal(told[:, 1], SPREAD), 0, 1)
             tried = _crossed(rng, points, lost, np.argsort(costs), factors, rates, width)
             found = search.costs(tried)
             steps += 1
@@ -358,14 +358,6 @@ def _refuse_few(what: str, count: object, least: int) -> None:
     """Raise ProblemError for a population that is none; None leaves its size to the method."""
     if count is not None and not (isinstance(count, (int, np.integer)) and count >= least):
         raise ProblemError(f"{count!r} {what} were asked for", f"Give a whole number, {least} or more")
-
-
-def _factors(rng: np.random.Generator, about: Array) -> Array:
-    """Factors (m,) from Cauchy's distribution about values in memory: drawn again where not positive, at most one."""
-    found = np.zeros(about.size)
-    while (bad := found <= 0).any():
-        found[bad] = about[bad] + SPREAD * rng.standard_cauchy(int(bad.sum()))
-    return np.minimum(found, 1.0)
 
 
 def _crossed(

@@ -5,11 +5,10 @@
     x = opti.variable(bound.unknowns)
     opti.minimize(bound.symbolic.objective(x))
 
-Trade-offs. Rows are not written out: a function of one row is mapped over pieces of at most 256, and an expression
-holds a call of each piece. So 10,000 rows take about as long to build as 100, and no evaluation holds more than the
-derivatives of a piece. With 33 unknowns, 10,000 rows take 7 ms for the residuals, 15 ms for the normal equations and 1
-to 2 seconds for the exact Hessian that IPOPT asks for, within 100 MB; 120 rows take 20 ms for that Hessian. The
-library's own `lm` and `ipopt` are several times faster on the plain objective: what is here is for what they do not do.
+A function of one row is mapped over pieces of at most 256, and an expression holds a call of each piece: 10,000 rows
+take about as long to build as 100. With 33 unknowns they take 7 ms for the residuals, 15 ms for the normal equations
+and 1 to 2 seconds for the exact Hessian, within 100 MB; 120 rows 20 ms for that. The library's own `lm` and `ipopt` are
+several times faster on the plain objective: what is here is for what they do not do.
 """
 
 from __future__ import annotations
@@ -24,9 +23,8 @@ import casadi as ca
 import numpy as np
 
 from casacal.errors import ProblemError, came
-from casacal.fit.blocks import Block
 from casacal.fit.least_squares import LeastSquares
-from casacal.fit.slots import Slot
+from casacal.fit.slots import Block, Slot
 from casacal.kernels.filter_passes import Cubature
 from casacal.model.kinematics import Expression
 from casacal.model.trace import RowModel
@@ -40,24 +38,15 @@ class RowKind:
     """Rows of one instrument that see the same unknowns, such as the touches of one face."""
 
     model: RowModel
-    instrument: int
-    """Whose rows they are, from 0."""
-    unknowns: tuple[str, ...]
-    """Names of what they see, in the order of the problem's symbols: "alpha", ..., "plane.floor"."""
-    columns: Index
-    """Positions of z in x (nz,)."""
-    constants: Array
-    """c (nc,)."""
-    samples: Index
-    """Which samples of the instrument they are (N,)."""
-    first: int
-    """Position of the instrument's first residual among all."""
-    data: Array
-    """d of each row (N, nd): rad, mm."""
-    noise: Array
-    """Standard deviation w of each residual (N, m)."""
-    at: int
-    """Position of their data in p: c, then d and w row by row."""
+    instrument: int  # whose rows they are, from 0
+    unknowns: tuple[str, ...]  # names of what they see, in the order of the symbols: "alpha", ..., "plane.floor"
+    columns: Index  # positions of z in x (nz,)
+    constants: Array  # c (nc,)
+    samples: Index  # which samples of the instrument they are (N,)
+    first: int  # position of the instrument's first residual among all
+    data: Array  # d of each row (N, nd): rad, mm
+    noise: Array  # standard deviation w of each residual (N, m)
+    at: int  # position of their data in p: c, then d and w row by row
 
     @property
     def places(self) -> tuple[Index, Index, Index]:
@@ -81,8 +70,7 @@ class SymbolicProblem:
     """
 
     def __init__(self, problem: LeastSquares, slots: Sequence[Slot], blocks: Sequence[Block]) -> None:
-        self.names, self.units = problem.names, problem.units
-        """Name and unit of each unknown."""
+        self.names, self.units = problem.names, problem.units  # name and unit of each unknown
         self.x0, self.prior_std, self.start_std = problem.x0, problem.prior_std, problem.start_std
         """Mean and standard deviation of the prior (n,; infinite: flat), and a good scale of each unknown (n,)."""
         self._prior_rows, self._slots, found, first, at = problem.prior_rows, tuple(slots), list[RowKind](), 0, 0
@@ -94,8 +82,7 @@ class SymbolicProblem:
                 found.append(RowKind(block.model, i, names, columns, constants, rows, first, data, noise, at))
                 at += constants.size + data.size + noise.size
             first += block.noise.size
-        self.kinds, self._rows = tuple(found), first
-        """The rows, kind by kind."""
+        self.kinds, self._rows = tuple(found), first  # the rows, kind by kind
         self.data = read_only(np.concatenate([np.r_[k.constants, k.data.ravel(), k.noise.ravel()] for k in found]))
         """What the samples put into the rows, as one column p: constants, joint values and columns, noise."""
         self._pieces: dict[Any, ca.Function] = {}

@@ -1,9 +1,8 @@
 """Numeric kernels from a row's symbolic graph: printed as C where there is a compiler, replayed in blocks elsewhere.
 
 program: the graph as a list of elementary operations, each in its cheapest form. rows: what every back end does with
-rows. native_rows: in C, printed before the files of c/; libraries: built and kept. block_rows: on CasADi's machine,
-also any function of many rows and exact second derivatives. filter_passes: the cubature filter, in C or there.
-backend: which of both evaluates rows.
+rows. block_rows: on CasADi's machine, also any function of many rows and exact second derivatives. native_rows: in C,
+printed before the files of c/, or else there; libraries: built and kept. filter_passes: the cubature filter, in both.
 """
 
 from casacal.public import homes, on_demand

@@ -74,8 +74,7 @@ def _flat(array: Array) -> memoryview:
 def replayed(program: Program, values: Sequence[int], p: ca.MX, d: ca.MX, *, is_prepared: bool = False) -> list[ca.MX]:
     """Some values, a column each, with the operations of a program on columns of samples.
 
-    p: all parameters or, prepared, the values of `program.once`. Values that share operations belong in one call:
-    CasADi does not see that two calls do the same.
+    p: all parameters or, prepared, the values of `program.once`. Operations are shared within one call alone.
     """
     known: dict[int, ca.MX] = dict(zip(program.lanes, ca.horzsplit(d), strict=True)) if program.lanes else {}
     parameters = ca.vertsplit(p) if p.numel() else []

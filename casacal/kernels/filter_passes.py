@@ -24,16 +24,12 @@ from casacal.values import Array
 class FilterRows:
     """Rows that a filter takes in, and the coordinates (x - x0) / scale (n,) of its belief."""
 
-    pattern: NDArray[np.integer[Any]]
-    """Pattern of each sample (N,)."""
-    columns: NDArray[np.integer[Any]]
-    """Positions of z in x, by pattern (patterns, nz)."""
+    pattern: NDArray[np.integer[Any]]  # pattern of each sample (N,)
+    columns: NDArray[np.integer[Any]]  # positions of z in x, by pattern (patterns, nz)
     x0: Array
     scale: Array
-    once: Array
-    """Constants and data of each sample (N, c + d)."""
-    weight: Array
-    """1 / noise of each residual (N, m)."""
+    once: Array  # constants and data of each sample (N, c + d)
+    weight: Array  # 1 / noise of each residual (N, m)
 
 
 class Cubature:
@@ -63,8 +59,7 @@ class Cubature:
     def __call__(self, first: int, rows: FilterRows, mean: Array, root: Array) -> tuple[int, Array, Array, Array]:
         """Take in residuals from `first` on, changing the belief in place: mean (n,), lower triangular root (n, n).
 
-        Returns the first residual that was not taken in, or their number; and, by residual, means (N m, n),
-        innovations and their standard deviations (N m,).
+        Returns the first residual not taken in, or their number; of each mean (N m, n), innovation, std (N m,).
         """
         return (self._by_blocks if self._compiled is None else self._by_c)(first, rows, mean, root)
 
@@ -113,8 +108,8 @@ class Cubature:
     def step(self, n: int, component: int) -> ca.Function:
         """One row, in coordinates (x - x0) / scale: eqs (15)-(24) of arXiv:2208.02652 as corrected.
 
-        (cubature points of z, constants and data, weight, mean, S) to the mean and S after it, and innovation, its
-        standard deviation, and the part of a variance that is left.
+        (cubature points of z, constants and data, weight, mean, S) to mean and S after it, and three figures: the
+        innovation, its standard deviation, and the part of a variance that is left.
         """
         if (n, component) not in self._steps:
             points, once, w = ca.MX.sym("z", 2 * n, self._unknowns), ca.MX.sym("p", self._once), ca.MX.sym("w")

@@ -1,16 +1,17 @@
-"""Kernels as compiled C: samples innermost, normal equations accumulated where the Jacobian is made.
+"""Kernels as compiled C, normal equations accumulated where the Jacobian is made; or else those on CasADi's machine.
 
 A program is printed as straight lines over lanes, which any compiler vectorises. What is the same for every program
 stands in the folder c, as C that compilers and editors read as it is: c/program.h defines an example of what differs.
-Here the sizes are defined anew, and statements written out where they are named, for a compiler takes half as long
-again over macros of hundreds of lines.
+Here sizes are defined anew, and statements written out where they are named: macros take compilers half as long again.
 """
 
 from __future__ import annotations
 
 import ctypes
 import functools
+import logging
 import math
+import os
 import re
 import threading
 from collections.abc import Callable, Iterable, Sequence
@@ -20,17 +21,17 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
+from casacal.errors import ProblemError
+from casacal.kernels.block_rows import BlockKernels, CalledKernels
 from casacal.kernels.libraries import CompilerError, load_library
-from casacal.kernels.losses import Loss
-from casacal.kernels.program import TRIGONOMETRIC, C, Kind, Program, name_of
+from casacal.kernels.program import TRIGONOMETRIC, C, Kind, Program, Role, calls, name_of, read_program
 from casacal.kernels.rows import Kernels, Lanes, Piece
 from casacal.threads import shared_out
 from casacal.values import Array, Index
 
 KERNELS = ("rows.c", "normal_equations.c", "extended_filter.c")
 FILTER = ("cubature_filter.c",)
-Definitions: TypeAlias = dict[str, int | Sequence[str]]
-"""Numbers and statements by the names that C has for them."""
+Definitions: TypeAlias = dict[str, int | Sequence[str]]  # numbers and statements by the names that C has for them
 PROGRAM = "program.h"  # the example, which a source has no need of
 
 
@@ -42,8 +43,8 @@ def rows_of_normal(unknowns: int) -> int:
 def kernel_source(slopes: Program, parameters: int) -> str:
     """C source of `residual`, `slopes`, `costs` and `normal`, and of the sums, steps and filter that call them.
 
-    slopes: outputs e (m), and its derivative row by row (m * z). parameters: numbers in p. Raises CompilerError for an
-    operation that has no form in C.
+    slopes: outputs e (m), and its derivative row by row (m * z). parameters: numbers in p. Raises CompilerError for
+    operations without a form in C.
     """
     components, unknowns = len(slopes.outputs[0]), len(slopes.outputs[1]) // len(slopes.outputs[0])
     rows, printed = rows_of_normal(unknowns), _Printer(slopes)
@@ -327,63 +328,54 @@ class NativeNormal:
         return out[:n], float(out[n]), float(out[n + 1])
 
 
-class WeightedNormal:
-    """Sums over few rows at one x, weighted by a loss, which is asked once for all pieces.
+BACKENDS = ("auto", "c", "blocks")
+VARIABLE = "CASACAL_BACKEND"
 
-    Numbers go in and come out through memory that stays, as in `NativeNormal`; threads may share it.
+MOST_PROGRAMS = 32  # programs that a process keeps, the last used ones
+
+
+def row_kernels(slopes: ca.Function, backend: str | None = None) -> Kernels:
+    """Kernels of a residual with its slopes, which read the function's last argument row by row.
+
+    Args:
+        slopes: SX function to e (m) and its derivative row by row (m * z); all arguments but the last form p.
+        backend: a name of `BACKENDS`, or None for the environment's, or auto.
+
+    A graph that calls other functions is evaluated by CasADi, with the derivatives that it has of them.
+
+    Raises ProblemError for a back end that does not exist or cannot serve, and operations that are not elementary.
+
     """
-
-    def __init__(self, packed: PackedPieces, noise: Array) -> None:
-        self._lock, count = threading.Lock(), sum(piece.numbers.size for piece in packed.pieces)
-        self._r, self._noise, self._weights = np.empty(count), np.empty(count), np.empty(count)
-        self._parts, first = [], 0
-        for piece in packed.pieces:
-            own = slice(first, first + piece.numbers.size)
-            self._noise[own] = noise[piece.numbers].T.ravel()
-            self._parts.append(_WeightedPiece(piece, own, self._r[own], self._weights[own]))
-            first = own.stop
-
-    def sums(self, x: Array, loss: Loss) -> tuple[float, Array, Array]:
-        """Sum of a loss at x (n,), its gradient (n,), and J'WJ (n, n)."""
-        n, cost = x.size, 0.0
-        gradient, information = np.zeros(n), np.zeros((n, n))
-        with self._lock:
-            for part in self._parts:
-                part.evaluate(x)
-            self._r /= self._noise
-            self._weights[:] = np.sqrt(loss.weight(self._r)) / self._noise  # a weight on r^2 is its root on r
-            costs = loss.cost(self._r)
-            for part in self._parts:
-                s = part.normal()
-                cost += float(costs[part.own].sum())
-                gradient[part.columns] += s[:-1, -1]
-                information[part.columns[:, None], part.columns] += s[:-1, :-1]
-        return cost, gradient, information
+    requested = backend if backend is not None else os.environ.get(VARIABLE, "auto")
+    if requested not in BACKENDS:
+        raise ProblemError(f"There is no back end '{requested}'", f"Known: {', '.join(BACKENDS)}")
+    if calls(slopes):
+        reason = "the model calls a rootfinder, a table or a Callback, which CasADi evaluates and differentiates itself"
+        if requested == "c":
+            raise ProblemError(f"The back end c cannot be used: {reason}", "Use blocks, or auto")
+        _notice(reason)
+        return CalledKernels(slopes)
+    program = _read(slopes.serialize())
+    parameters = sum(slopes.numel_in(i) for i in range(slopes.n_in() - 1))
+    if requested != "blocks":
+        try:
+            return NativeKernels(program, parameters)
+        except CompilerError as error:
+            if requested == "c":
+                raise ProblemError(f"The back end c cannot be used: {error}", "Use blocks, or auto") from error
+            _notice(str(error))
+    return BlockKernels(program, parameters)
 
 
-class _WeightedPiece:
-    """A piece with residuals and weights in memory that stays."""
+@functools.lru_cache(maxsize=MOST_PROGRAMS)
+def _read(slopes: str) -> Program:
+    """The program of a graph, which is much longer in the reading than in the comparing."""
+    function = ca.Function.deserialize(slopes)
+    roles: list[Role] = ["once"] * (function.n_in() - 1)
+    return read_program(function, [*roles, "lane"])
 
-    def __init__(self, piece: Piece, own: slice, residual: Array, weights: Array) -> None:
-        kernels, lanes, self.own, self.columns = piece.kernels, piece.lanes, own, piece.columns
-        assert isinstance(kernels, NativeKernels)
-        shape, ld = (kernels.components, lanes.n), lanes.w.shape[1]
-        self._p, self._e = np.concatenate([np.zeros(self.columns.size), piece.constants]), np.empty((shape[0], ld))
-        self._w, self._s = kernels._packed(np.zeros(shape)), np.empty((kernels.rows, kernels.rows))
-        self._e_out, self._w_in = residual.reshape(shape), weights.reshape(shape)
-        self._lanes, self._entries = lanes, slice(kernels.unknowns + 1)
-        p, d, e, w, s = (_at(each) for each in (self._p, lanes.d, self._e, self._w, self._s))
-        self._residual = functools.partial(kernels._residual, lanes.n, ld, p, d, e)
-        self._normal = functools.partial(kernels._normal, lanes.n, ld, p, d, w, s)
 
-    def evaluate(self, x: Array) -> None:
-        """Write plain residuals at x (n,)."""
-        self._p[: self.columns.size] = x[self.columns]
-        self._residual()
-        self._e_out[:] = self._e[:, : self._lanes.n]
-
-    def normal(self) -> Array:
-        """Weighted normal matrix of slopes and, last, residual (z + 1, z + 1), until the next one."""
-        self._w[:, : self._lanes.n] = self._w_in
-        self._normal()
-        return self._s[self._entries, self._entries]
+@functools.cache
+def _notice(reason: str) -> None:
+    """One line, once per process: kernels are slower, not different."""
+    logging.getLogger("casacal").warning("casacal: no C kernels (%s); using blocks, which are slower", reason)

@@ -1,7 +1,6 @@
 """A CasADi graph as lines of text, there and back, and as a list of elementary operations, each in its cheapest form.
 
-A line of text is one instruction. Text is what result.json holds of a user's own functions and what kernels are built
-from.
+A line of text is one instruction: what result.json holds of a user's own functions, and kernels are built from.
 """
 
 from __future__ import annotations
@@ -42,8 +41,7 @@ class Operation:
     op: int
     args: tuple[int, ...] = ()
     constant: float = 0.0
-    element: tuple[int, int] = (-1, -1)
-    """Argument of the function and position in it, for OP_INPUT."""
+    element: tuple[int, int] = (-1, -1)  # argument of the function and position in it, for OP_INPUT
 
 
 def operations_of(function: ca.Function) -> tuple[list[Operation], list[list[int]]]:

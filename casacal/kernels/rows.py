@@ -76,12 +76,9 @@ class Piece:
 
     kernels: Kernels
     lanes: Lanes
-    numbers: Index
-    """Positions of their residuals among all (n, m)."""
-    columns: Index
-    """Positions of z in x."""
-    constants: Array
-    """Constants, which follow z in p."""
+    numbers: Index  # positions of their residuals among all (n, m)
+    columns: Index  # positions of z in x
+    constants: Array  # constants, which follow z in p
 
     @property
     def size(self) -> int:

@@ -16,5 +16,5 @@ from casacal.model.instrument import Suspect as Suspect
 from casacal.model.instrument import Trusted as Trusted
 from casacal.model.instrument import Words as Words
 from casacal.model.problem_file import ProblemFile as ProblemFile
-from casacal.model.symbols import Symbols as Symbols
+from casacal.model.trace import Symbols as Symbols
 from casacal.model.unknown import Unknown as Unknown

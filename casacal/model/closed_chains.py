@@ -16,11 +16,7 @@ CLOSED = 1e-6  # of a passive joint's value, and of 1 rad or mm: a loop that clo
 
 
 def passive(
-    loop: Callable[[Expression, Expression], Any],
-    q: Any,
-    *,
-    home: Sequence[float],
-    start: Sequence[float],
+    loop: Callable[[Expression, Expression], Any], q: Any, *, home: Sequence[float], start: Sequence[float]
 ) -> Expression:
     """Passive joint values (m; rad, mm) that close a loop at joint values q, as an expression of p and q.
 

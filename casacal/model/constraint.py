@@ -71,9 +71,8 @@ class Constraint(Value):
         held = numbers and (is_finite(self.low) or is_finite(self.high)) and self.low <= self.high and self.std >= 0
         if not held:
             what = f"'{self.name}' lies between {self.low!r} and {self.high!r}, give or take {self.std!r}"
-            raise ProblemError(
-                what, "Give numbers, the lower end first, one end finite at least, and no negative error"
-            )
+            fix = "Give numbers, the lower end first, one end finite at least, and no negative error"
+            raise ProblemError(what, fix)
 
     @cached_property
     def function(self) -> ca.Function:
@@ -156,9 +155,8 @@ class Correlation:
 
     def traced(self, unknowns: Mapping[str, Unknown]) -> Correlation:
         """Itself; raises UnknownNameError for what is no single number of these unknowns."""
-        refuse_unknown(
-            "number", self.names, [n for k, u in unknowns.items() if not u.per for n in u.component_names(k)]
-        )
+        known = [name for key, unknown in unknowns.items() if not unknown.per for name in unknown.component_names(key)]
+        refuse_unknown("number", self.names, known)
         return self
 
     @staticmethod

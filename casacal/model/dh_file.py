@@ -20,15 +20,13 @@ from casacal.model.dh_table import DHTable, degrees, plain
 from casacal.model.joints import MOST_JOINTS, Conventions, Joint
 
 FARTHEST = 20_000.0  # mm: no arm has such a length
-FAR_FEET, EXACTLY = 3_000.0, 1e-9
-"""Distance (mm) along an axis from which common normals of nearly parallel ones are not used; sine of parallel ones."""
+FAR_FEET, EXACTLY = 3_000.0, 1e-9  # mm along an axis beyond which common normals are not used; sine of parallel axes
 
 Row: TypeAlias = Mapping[str, Any]
 
 ANGLE = {"deg": math.pi / 180, "rad": 1.0}
 LENGTH = {"mm": 1.0, "m": 1000.0}
-UNITS = {"alpha": ANGLE, "a": LENGTH, "d": LENGTH, "theta": ANGLE, "beta": ANGLE}
-"""The numbers of a row, and what one of each unit is in rad or mm."""
+UNITS = {"alpha": ANGLE, "a": LENGTH, "d": LENGTH, "theta": ANGLE, "beta": ANGLE}  # numbers of a row
 ROW_FIELDS = (
     "joint",
     "kind",
@@ -43,10 +41,7 @@ BLOCK_FIELDS = ("name", "convention", *LIKE)
 MISNAMED = {"type": "kind", "joint_type": "kind"}  # names of fields in other tables, and the name here
 HALF_TURN = math.pi * (1 + 1e-6)
 KINDS = {"revolute": "revolute", "r": "revolute", "prismatic": "prismatic", "p": "prismatic"}
-
-
-FileRows: TypeAlias = list[tuple[str, Row]]
-"""Rows of a file as read, numbers as numbers, each with where it stands: "arm.csv, line 3"."""
+FileRows: TypeAlias = list[tuple[str, Row]]  # rows as read, numbers as numbers, each with its place: "arm.csv, line 3"
 
 
 def table_of(file: str, block: Mapping[str, Any], rows: FileRows) -> DHTable:
@@ -225,7 +220,14 @@ def unread_keys(path: str | Path) -> tuple[str, ...]:
 
 def dh_file_text(table: DHTable, path: str | Path) -> str:
     """A DH table as the text of a file of that name, degrees and millimetres: TOML when it ends in .toml, else CSV."""
-    rows = _rows(table)
+    rows = list[dict[str, str]]()
+    for i, joint in enumerate(table.joints):
+        row = {"joint": str(i + 1), "kind": joint.kind, "alpha_deg": degrees(table.alpha[i])}
+        row |= {"a_mm": plain(table.a[i]), "d_mm": plain(table.d[i]), "theta_deg": degrees(table.theta[i])}
+        if i + 1 in table.parallel:
+            row["beta_deg"] = degrees(table.beta[table.parallel.index(i + 1)])
+        unit, shown = ("deg", degrees) if joint.turns else ("mm", plain)
+        rows.append(row | {f"lower_{unit}": shown(joint.lower), f"upper_{unit}": shown(joint.upper)})
     if is_toml(path):
         lines = [f"name = {json.dumps(table.name, ensure_ascii=False)}", f'convention = "{table.convention}"']
         if table.parallel:
@@ -382,16 +384,3 @@ def _meant(conventions: Conventions, turns: Sequence[bool]) -> dict[str, list[st
     if conventions.coupling:
         found["coupling"] = [f"{i} {j} {plain(factor)}" for i, j, factor in conventions.coupling]
     return found
-
-
-def _rows(table: DHTable) -> list[dict[str, str]]:
-    """The fields of each joint as text."""
-    rows = []
-    for i, joint in enumerate(table.joints):
-        row = {"joint": str(i + 1), "kind": joint.kind, "alpha_deg": degrees(table.alpha[i])}
-        row |= {"a_mm": plain(table.a[i]), "d_mm": plain(table.d[i]), "theta_deg": degrees(table.theta[i])}
-        if i + 1 in table.parallel:
-            row["beta_deg"] = degrees(table.beta[table.parallel.index(i + 1)])
-        unit, shown = ("deg", degrees) if joint.turns else ("mm", plain)
-        rows.append(row | {f"lower_{unit}": shown(joint.lower), f"upper_{unit}": shown(joint.upper)})
-    return rows

@@ -16,8 +16,7 @@ from casacal.model.kinematics import Expression, chain, dh, hayati, modified_dh,
 from casacal.model.unknown import Parameter, Unknown, spread
 
 Stds = float | Sequence[float] | None
-NEARLY = math.radians(5.0)
-"""Largest angle between axes that count as parallel: below it, the foot of their common normal moves far too easily."""
+NEARLY = math.radians(5.0)  # angle below which axes count as parallel: the foot of their normal moves far too easily
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,24 +13,15 @@ import numpy as np
 from casacal.data.columns import Dimension
 from casacal.errors import ProblemError
 from casacal.model.geometry import Direction, Frame, Plane, rotation_between, transform
-from casacal.model.instrument import (
-    Instrument,
-    Probe,
-    Sight,
-    Suspect,
-    Travel,
-    Trusted,
-    Words,
-    held_trusted,
-    tool_point,
-    units_mistaken,
-)
+from casacal.model.instrument import Instrument, Probe, Sight, Suspect, Travel, Trusted, Words, tool_point
 from casacal.model.kinematics import Expression, rotation, transform_point
 from casacal.model.unknown import Parameter, Unknown, unit_vector
 from casacal.values import Array, FrozenMapping, is_real, plain
 
+GAIN_STD = 0.15  # percent of a dial that nobody certified
 
-def dial_gain(percent: float = 0.15) -> Parameter:
+
+def dial_gain(percent: float = GAIN_STD) -> Parameter:
     """Prior of a dial's gain error, in percent: from its certificate, else 0.15 %.
 
     What touches of planes leave of a wrong gain is too small to be seen: geometry absorbs nearly all of it, as an arm
@@ -49,6 +40,10 @@ def dial_zero(std: float = 10.0, *, per: str = "session") -> Parameter:
     return Parameter(0.0, unit="mm", prior_std=std, per=per)
 
 
+APPROACH = (
+    "if the dial is at the end of its travel, move along the plunger until it reads about what is expected: readings "
+    "that differ determine the size of the arm"
+)
 PLUNGER_STD = 0.01  # rad by which a plunger may stand off the axis that it was mounted along
 
 
@@ -182,12 +177,8 @@ class DialOnPlane(Instrument):
     def words(self) -> Words:
         """Distances from planes."""
         trusted = "the dial's gain" if self.reading and self.gain is None else ""
-        approach = (
-            "if the dial is at the end of its travel, move along the plunger until it reads about what is expected: "
-            "readings that differ determine the size of the arm"
-        )
         said = Words("distance from the planes", "mm", "planes", "planes fitted alone", trusted)
-        return replace(said, approach=approach) if self.reading else said
+        return replace(said, approach=APPROACH) if self.reading else said
 
     @property
     def known_by(self) -> str:
@@ -218,14 +209,11 @@ class DialOnPlane(Instrument):
         """The dial's gain and the direction of its plunger, unless they are declared as unknowns."""
         if not self.reading:
             return {}
-        words = "the direction of the plunger"
-        found = dict(
-            held_trusted("plunger", self.plunger, words, PLUNGER_STD, cure="plunger=Direction(...) in the problem")
-        )
+        words, cure = "the direction of the plunger", "plunger=Direction(...) in the problem"
+        found = Trusted.held("plunger", self.plunger, words, PLUNGER_STD, cure=cure)
         if self.gain is None:
-            gain = dial_gain()
-            std, cure = float(gain.prior_std), "a gauge block"  # type: ignore[arg-type]
-            found["gain"] = Trusted(words="the dial's gain", std=std, unit=gain.unit, scales=("reading",), cure=cure)
+            words, cure = "the dial's gain", "a gauge block"
+            found["gain"] = Trusted(words=words, std=GAIN_STD, unit="%", scales=("reading",), cure=cure)
         return found
 
     @property
@@ -235,7 +223,7 @@ class DialOnPlane(Instrument):
             return ()
         cause = "a larger reading shortens the tool where the problem says it lengthens it, or the other way round"
         fix = f"Reverse the sign of the dial in the problem (--set sign={-self.sign} tries it)"
-        return (Suspect("wrong dial sign", cause, fix, ("reading",), -1.0), *units_mistaken(self.columns))
+        return (Suspect("wrong dial sign", cause, fix, ("reading",), -1.0), *Suspect.units(self.columns))
 
     def with_faces_by_label(self) -> DialOnPlane | None:
         """A copy with a plane for each label; None where a further face needs a certified angle."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, ClassVar, Self
 
@@ -22,13 +22,11 @@ class Whole(Unknown):
     free: bool
     prior_std: float | tuple[float, float]
     start_std: float | tuple[float, float] | None
-    parts: ClassVar[tuple[tuple[str, str], ...]]
-    """Suffix of the name of each local coordinate, and its unit."""
-    unit_length: ClassVar[int] = 3
-    """Number of leading raw coordinates that form a unit vector or quaternion."""
+    parts: ClassVar[tuple[tuple[str, str], ...]]  # suffix of the name of each local coordinate, and its unit
+    unit_length: ClassVar[int] = 3  # number of leading raw coordinates that form a unit vector or quaternion
     held_as_proposed: bool
-    unsaid: ClassVar[tuple[str, str]]
-    """Words for a missing nominal value of a held unknown, and the fix to suggest."""
+    encode: ClassVar[Callable[..., Array]]  # what it is declared by, as numbers (nominal_size,)
+    unsaid: ClassVar[tuple[str, str]]  # words for a missing nominal value of a held unknown, and the fix to suggest
 
     def __post_init__(self) -> None:
         assert is_dataclass(self)
@@ -69,6 +67,11 @@ class Whole(Unknown):
     def raw_size(self) -> int:
         """Number of raw coordinates: one more than local ones, or none when held."""
         return self.size + 1 if self.free else 0
+
+    def recentred(self, nominal: Array, local: Array) -> Array:
+        """Numbers of what stands there, as it is shown."""
+        there = self.shown(nominal, local)[1]
+        return self.encode(*(there.values() if isinstance(there, dict) else [there]))
 
     def raw_constraints(self, raw: Expression) -> list[Expression]:
         """n'n - 1 of a normal or a direction, q'q - 1 of a quaternion."""
@@ -176,10 +179,6 @@ class Direction(Whole):
         """Unit vector (3,), as the normal of a face."""
         del near
         return self.encode(normal)
-
-    def recentred(self, nominal: Array, local: Array) -> Array:
-        """Numbers of the direction there."""
-        return self.encode(self.shown(nominal, local)[1])
 
     def raw_start(self, nominal: Array) -> Array:
         """Return the three components themselves."""
@@ -292,11 +291,6 @@ class Plane(Whole):
         """The plane through the point with that normal."""
         return self.encode(normal, near)
 
-    def recentred(self, nominal: Array, local: Array) -> Array:
-        """Numbers of the plane there."""
-        there = self.shown(nominal, local)[1]
-        return self.encode(there["normal"], there["point_mm"])
-
     def raw_start(self, nominal: Array) -> Array:
         """Return the normal's three components, and offset 0."""
         return np.append(np.asarray(nominal)[:3], 0.0)
@@ -401,10 +395,6 @@ class Frame(Whole):
         matrix[:3, 3] = 0.0 if self.turns_only else -np.asarray(near)  # from the base to what stands there
         return self.encode(matrix)
 
-    def recentred(self, nominal: Array, local: Array) -> Array:
-        """Numbers of the frame there."""
-        return self.encode(self.shown(nominal, local)[1])
-
     def raw_start(self, nominal: Array) -> Array:
         """Return the unit quaternion of no rotation, and no translation."""
         del nominal
@@ -469,8 +459,7 @@ def rotation_between(there: Array, here: Array) -> tuple[Array, bool]:
     return np.asarray(right.T @ mirror @ left.T), fixed
 
 
-APART = 1e-3
-"""Part of the largest singular value by which it stands apart where both frames are fixed: turns by two degrees."""
+APART = 1e-3  # part of the largest singular value by which it stands apart where both frames are fixed: turns by 2 deg
 
 
 def hand_eye(turns: Array, places: Array, quaternions: Array, read: Array) -> tuple[Array, Array] | None:

@@ -1,7 +1,6 @@
 """Instruments: which columns a row has, which unknowns the measurement adds, and its residual.
 
-Everything that depends on the kind of measurement is asked of the instrument, with defaults that work: `columns` and
-`residual` are enough for every command.
+Whatever depends on the kind of measurement is asked of it, with defaults that work: `columns` and `residual` suffice.
 """
 
 from __future__ import annotations
@@ -20,10 +19,10 @@ import numpy as np
 from casacal.data.columns import Dimension
 from casacal.errors import ProblemError, came, refuse_unknown
 from casacal.model.geometry import Plane, fitted_plane
-from casacal.model.kinematics import Expression, position, transform_point
+from casacal.model.kinematics import Expression, position
 from casacal.model.unknown import Parameter, Unknown, check_own_kind
 from casacal.user_code import Portable
-from casacal.values import Array, Index, Rows, is_real
+from casacal.values import Array, FrozenMapping, Index, Rows, is_real
 
 
 @dataclass(frozen=True)
@@ -55,6 +54,13 @@ class Suspect:
     factor: float
     order: tuple[str, ...] = ()
     change: Callable[[Mapping[str, Array]], Mapping[str, Array]] | None = None
+
+    @staticmethod
+    def units(columns: Mapping[str, Dimension]) -> tuple[Suspect, ...]:
+        """All lengths in another unit than their columns say."""
+        lengths, about = tuple(name for name, kind in columns.items() if kind == "length"), "unit of the readings"
+        found = ((f"the readings seem to be {words}", factor) for factor, words in UNIT_MISTAKES.items() if lengths)
+        return tuple(Suspect(about, cause, RENAME_UNIT, lengths, factor) for cause, factor in found)
 
 
 @dataclass(frozen=True)
@@ -115,20 +121,20 @@ class Trusted:
     count: int = 1
     cure: str = ""
 
+    @staticmethod
+    def scale(words: str, percent: float, *columns: str, cure: str) -> Mapping[str, Trusted]:
+        """The scale of some columns, which nothing else in the rows tells from the size of the arm."""
+        return FrozenMapping({"scale": Trusted(words=words, std=percent, unit="%", scales=columns, cure=cure)})
 
-def scale_trusted(words: str, percent: float, *columns: str, cure: str = "") -> Mapping[str, Trusted]:
-    """The scale of some columns, which nothing else in the rows tells from the size of the arm."""
-    return {"scale": Trusted(words=words, std=percent, unit="%", scales=columns, cure=cure)}
-
-
-def held_trusted(key: str, unknown: Unknown, words: str, std: float, *, cure: str = "") -> Mapping[str, Trusted]:
-    """An unknown that is held, with the prior that it states or else `std`; nothing where it is estimated."""
-    if unknown.size or unknown.nominal is None:
-        return {}
-    stated: Any = getattr(unknown, "prior_std", None)
-    std = float(stated) if is_real(stated) and math.isfinite(stated) else std
-    units = unknown.freed().units
-    return {key: Trusted(words=words, std=std, unit=units[0], shifts=key, count=len(units), cure=cure)}
+    @staticmethod
+    def held(key: str, unknown: Unknown, words: str, std: float, *, cure: str) -> dict[str, Trusted]:
+        """An unknown that is held, with the prior that it states or else `std`; nothing where it is estimated."""
+        if unknown.size or unknown.nominal is None:
+            return {}
+        stated: Any = getattr(unknown, "prior_std", None)
+        std = float(stated) if is_real(stated) and math.isfinite(stated) else std
+        units = unknown.freed().units
+        return {key: Trusted(words=words, std=std, unit=units[0], shifts=key, count=len(units), cure=cure)}
 
 
 COORDINATE = "residual of each coordinate"
@@ -156,8 +162,7 @@ class Words:
     """Advice for each posture, as in "if the dial is at the end of its travel, move along the plunger"."""
 
 
-Travel: TypeAlias = float | tuple[float, float]
-"""Largest reading of a dial that begins at zero, or its smallest and largest, mm."""
+Travel: TypeAlias = float | tuple[float, float]  # largest reading of a dial from zero, or smallest and largest, mm
 
 OVERTRAVEL = 0.01  # part of its travel by which a dial may show more
 
@@ -212,16 +217,6 @@ ANGLE_UNITS = {180 / math.pi: "radians, written as degrees", math.pi / 180: "deg
 RENAME_UNIT = "Correct the unit in the column's name"
 
 
-def units_mistaken(columns: Mapping[str, Dimension]) -> tuple[Suspect, ...]:
-    """All lengths in another unit than their columns say."""
-    lengths = tuple(name for name, dimension in columns.items() if dimension == "length")
-    return tuple(
-        Suspect("unit of the readings", f"the readings seem to be {words}", RENAME_UNIT, lengths, factor)
-        for factor, words in UNIT_MISTAKES.items()
-        if lengths
-    )
-
-
 def mistakes_in(columns: Mapping[str, Dimension]) -> tuple[Suspect, ...]:
     """Signs of lengths and angles, one by one, their units, and any two of one kind swapped."""
     kinds = {kind: [name for name, each in columns.items() if each == kind] for kind in ("length", "angle")}
@@ -232,7 +227,7 @@ def mistakes_in(columns: Mapping[str, Dimension]) -> tuple[Suspect, ...]:
     for name in (*(kinds["length"] if len(kinds["length"]) > 1 else ()), *kinds["angle"]):
         cause = f"column '{name}' seems to have the wrong sign"
         signs.append(Suspect(f"sign of '{name}'", cause, f"Reverse the sign of column '{name}'", (name,), -1.0))
-    units = list(units_mistaken(columns))
+    units = list(Suspect.units(columns))
     for factor, words in ANGLE_UNITS.items() if kinds["angle"] else ():
         cause = f"the angles that are read seem to be {words}"
         units.append(Suspect("unit of the angles", cause, RENAME_UNIT, tuple(kinds["angle"]), factor))
@@ -346,10 +341,8 @@ class Instrument(Portable, ABC):
         Raises NoProposalError where the residual is to find it, ProblemError where the rows cannot tell.
         """
         del sight
-        raise NoProposalError(
-            f"Unknown '{key}' of {type(self).__name__} has no nominal value",
-            "Give it one, or override `propose`, which finds it from the samples",
-        )
+        fix = "Give it one, or override `propose`, which finds it from the samples"
+        raise NoProposalError(f"Unknown '{key}' of {type(self).__name__} has no nominal value", fix)
 
     @property
     def known_columns(self) -> Mapping[str, Mapping[str, float]]:
@@ -437,9 +430,8 @@ def check_declaration(instrument: object) -> None:
     others = [cls for cls in type(instrument).__mro__ if not cls.__module__.startswith("casacal.")]
     for own in {name for cls in others if not issubclass(Instrument, cls) for name in vars(cls)}:
         for meant in [] if hasattr(Instrument, own) else difflib.get_close_matches(own, DECLARABLE, 1, 0.85):
-            raise ProblemError(
-                f"{name} has '{own}', which nobody asks for", f"Call it '{meant}', or else something else"
-            )
+            fix = f"Call it '{meant}', or else something else"
+            raise ProblemError(f"{name} has '{own}', which nobody asks for", fix)
     for key, constant in instrument.trusted.items():
         _check_trusted(instrument, f"The trusted constant '{key}' of {name}", constant)
 
@@ -509,47 +501,3 @@ def tool_point(
 ) -> Parameter:
     """Tool point (3, mm) in the flange frame, with components tool_x, tool_y, tool_z; its prior is flat by default."""
     return Parameter((x, y, z), unit="mm", prior_std=prior_std, free=free, labels=("_x", "_y", "_z"))
-
-
-@dataclass(frozen=True, kw_only=True)
-class ToolTip(Instrument):
-    """Base of instruments that observe one point of the flange, `tool` (mm).
-
-    noise_std: standard deviation of each residual, mm; raises ProblemError for one that is not positive.
-    """
-
-    noise_std: float
-    tool: Parameter = tool_point()
-
-    def __post_init__(self) -> None:
-        if not is_real(self.noise_std) or not 0 < self.noise_std < math.inf:
-            what = f"noise_std of {type(self).__name__} is {self.noise_std!r}"
-            raise ProblemError(what, "Give a positive number of mm")
-
-    @property
-    def residual_std(self) -> float:
-        """Noise of each residual, mm."""
-        return self.noise_std
-
-    def tip(self, pose: Expression, p: Any, row: Any) -> Expression:
-        """Return the point in the base frame (3, mm)."""
-        del row
-        return transform_point(pose, p.tool)
-
-
-def proposed_point(per: str) -> Parameter:
-    """A point (3, mm) in the base frame for each value of a label column, which the rows propose; its prior is flat."""
-    return Parameter(None, unit="mm", labels=("_x", "_y", "_z"), per=per)
-
-
-def centre_of(points: Array, distances: Array, *, zero: bool = False) -> Array:
-    """Point (3, mm) from which points (N, 3) lie at distances (N,), or at these but for one number if `zero`.
-
-    |p|^2 - 2 p'c + |c|^2 = d^2 is linear in c and |c|^2; a common zero adds 2 d. Where the points leave a direction
-    open, as on a plane, c lies in their midst along it.
-    """
-    middle = points.mean(axis=0)
-    p = points - middle
-    columns = [-2 * p, np.ones((len(p), 1))] + ([2 * distances[:, None]] if zero else [])
-    solved, *_ = np.linalg.lstsq(np.hstack(columns), distances**2 - (p**2).sum(axis=1), rcond=1e-9)
-    return np.asarray(middle + solved[:3])

@@ -1,7 +1,6 @@
 """Rigid transforms as CasADi expressions: Denavit-Hartenberg, Hayati, screws, rotations, translations, chains.
 
-Every function takes CasADi symbols or plain floats and returns a 4x4 `SX`, `MX` or (from floats alone) `DM`.
-Lengths in millimetres, angles in radians.
+Functions take CasADi symbols or floats, in mm and rad, and return a 4x4 `SX`, `MX` or (from floats alone) `DM`.
 """
 
 from __future__ import annotations
@@ -16,8 +15,7 @@ import numpy as np
 
 from casacal.values import Array
 
-Expression = Any
-"""A CasADi symbol or matrix (`SX`, `MX`, `DM`) or a float: the same code serves all of them."""
+Expression = Any  # a CasADi symbol or matrix (`SX`, `MX`, `DM`) or a float: the same code serves all of them
 
 
 @overload
@@ -130,6 +128,9 @@ def rotate_z(angle: Expression) -> Expression:
     return ca.blockcat([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
 
 
+ROTATE = {"x": rotate_x, "y": rotate_y, "z": rotate_z}
+
+
 def dh(alpha: Expression, a: Expression, d: Expression, theta: Expression) -> Expression:
     """Standard DH link, 4x4: RotZ(theta) TransZ(d) TransX(a) RotX(alpha), eq (1) of arXiv:2208.02652.
 
@@ -206,14 +207,15 @@ def transform_point(pose: Expression, point: Expression) -> Expression:
 
 def rotation_of_quaternion(q: Expression) -> Expression:
     """Rotation matrix (3x3) of a unit quaternion (w, x, y, z); a polynomial, so exact only on the unit sphere."""
-    w, x, y, z = q[0], q[1], q[2], q[3]
-    return ca.blockcat(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return ca.blockcat(_turn(q[0], q[1], q[2], q[3]))
+
+
+def _turn(w: Any, x: Any, y: Any, z: Any) -> list[list[Any]]:
+    return [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
 
 
 def _column(vector: Expression) -> Expression:
@@ -228,13 +230,8 @@ def rigid(turn: Expression, shift: Expression) -> Expression:
 
 def turns_of(quaternions: Array) -> Array:
     """Rotation matrices (N, 3, 3) of quaternions (N, 4; w, x, y, z) of any length but zero."""
-    w, x, y, z = (quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
+    units = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+    return np.moveaxis(np.array(_turn(*units.T)), -1, 0)
 
 
 def quaternions_of(turns: Array) -> Array:

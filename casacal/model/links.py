@@ -36,8 +36,7 @@ class Links:
     def of(robot: Robot) -> Links:
         """Links of an arm whose joints carry one another in order; raises ProblemError for others.
 
-        A link's place is on the axis of the joint after it, where that is nearest to the place before; the last one's
-        is the flange.
+        A link's place is on the next joint's axis, where that is nearest to the place before; the last is the flange.
         """
         plain, conventions = robot.traced, getattr(robot.arm, "conventions", None)
         if conventions is not None and robot.arm is not None:

@@ -26,8 +26,8 @@ def new_from_dh(
 ) -> tuple[Path, DHTable]:
     """Write the folder `out`/`name` for a DH file; rows whose axes are parallel are found where the file names none.
 
-    answers: what the user knows of dial and maker. Returns the folder and the table. Raises CasacalError when the file
-    cannot be read or the folder exists.
+    answers: what the user knows of dial and maker. Returns folder and table. Raises CasacalError for a file that cannot
+    be read, or a folder that exists.
     """
     table, source = read_dh_file(path), Path(path).name
     if table.name == Path(path).stem:  # which nobody chose
@@ -57,8 +57,7 @@ def new_from_urdf(
 ) -> tuple[Path, UrdfChain]:
     """Write the folder `out`/`name` for a URDF, with a copy of it.
 
-    answers: what the user knows of dial and maker. Returns the folder and the chain of joints. Raises CasacalError when
-    the URDF cannot be read or the folder exists.
+    answers: as for `new_from_dh`. Returns folder and chain of joints. Raises CasacalError as that does.
     """
     arm = UrdfChain.read(path, base, tip, None)
     base, tip = arm.chain[0].parent, arm.chain[-1].child
@@ -87,12 +86,10 @@ def _table_said(table: DHTable, answers: Answers) -> dict[str, str]:
     if turning:
         arguments.append('joints=[Joint("revolute", *deg(*limits)) for limits in LIMITS]')
     else:
-        rows = [
-            f'Joint("revolute", *deg({degrees(joint.lower)}, {degrees(joint.upper)}))'
-            if joint.turns
-            else f'Joint("prismatic", {plain(joint.lower)}, {plain(joint.upper)})'
-            for joint in table.joints
-        ]
+        rows = []
+        for joint in table.joints:
+            turn = f'Joint("revolute", *deg({degrees(joint.lower)}, {degrees(joint.upper)}))'
+            rows.append(turn if joint.turns else f'Joint("prismatic", {plain(joint.lower)}, {plain(joint.upper)})')
         arguments.append("joints=" + listed("[", rows, "]", 4, wide=True))
     if table.convention != "standard":
         arguments.append(f'convention="{table.convention}"')

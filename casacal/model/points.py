@@ -11,20 +11,7 @@ import numpy as np
 
 from casacal.errors import ProblemError
 from casacal.model.geometry import Direction, Frame, rigid_fit
-from casacal.model.instrument import (
-    COORDINATE,
-    Sight,
-    Suspect,
-    ToolTip,
-    Trusted,
-    Words,
-    centre_of,
-    held_trusted,
-    proposed_point,
-    scale_trusted,
-    tool_point,
-    units_mistaken,
-)
+from casacal.model.instrument import COORDINATE, Instrument, Sight, Suspect, Trusted, Words, tool_point
 from casacal.model.kinematics import Expression, transform_point
 from casacal.model.unknown import Parameter
 from casacal.values import Array, FrozenMapping, is_finite
@@ -36,6 +23,50 @@ TRACKER_SCALE = 0.001  # 10 um in a metre: air of a few kelvin other than assume
 WIRE_SCALE = 0.01
 PLATE_SCALE = 0.005  # a steel plate some kelvin from 20 degrees
 RADIUS_STD = 0.02  # mm, of two turned balls together
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToolTip(Instrument):
+    """Base of instruments that observe one point of the flange, `tool` (mm).
+
+    noise_std: standard deviation of each residual, mm; raises ProblemError for one that is not positive.
+    """
+
+    noise_std: float
+    tool: Parameter = tool_point()
+
+    def __post_init__(self) -> None:
+        if not is_finite(self.noise_std) or not self.noise_std > 0:
+            what = f"noise_std of {type(self).__name__} is {self.noise_std!r}"
+            raise ProblemError(what, "Give a positive number of mm")
+
+    @property
+    def residual_std(self) -> float:
+        """Noise of each residual, mm."""
+        return self.noise_std
+
+    def tip(self, pose: Expression, p: Any, row: Any) -> Expression:
+        """Return the point in the base frame (3, mm)."""
+        del row
+        return transform_point(pose, p.tool)
+
+
+def proposed_point(per: str) -> Parameter:
+    """A point (3, mm) in the base frame for each value of a label column, which the rows propose; its prior is flat."""
+    return Parameter(None, unit="mm", labels=("_x", "_y", "_z"), per=per)
+
+
+def centre_of(points: Array, distances: Array, *, zero: bool = False) -> Array:
+    """Point (3, mm) from which points (N, 3) lie at distances (N,), or at these but for one number if `zero`.
+
+    |p|^2 - 2 p'c + |c|^2 = d^2 is linear in c and |c|^2; a common zero adds 2 d. Where the points leave a direction
+    open, as on a plane, c lies in their midst along it.
+    """
+    middle = points.mean(axis=0)
+    p = points - middle
+    columns = [-2 * p, np.ones((len(p), 1))] + ([2 * distances[:, None]] if zero else [])
+    solved, *_ = np.linalg.lstsq(np.hstack(columns), distances**2 - (p**2).sum(axis=1), rcond=1e-9)
+    return np.asarray(middle + solved[:3])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,6 +125,7 @@ class Sockets(ToolTip):
     words = Words(
         "distance from the sockets", "mm", "rests", "sockets fitted alone", "the sockets' distances", group="place"
     )
+    trusted = Trusted.scale("the sockets' distances", PLATE_SCALE, "along", cure="measuring the bar")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -108,11 +140,6 @@ class Sockets(ToolTip):
     def known_columns(self) -> Mapping[str, Mapping[str, float]]:
         """Position of the row's socket along the bar, mm."""
         return {"along": self.along}
-
-    @property
-    def trusted(self) -> Mapping[str, Trusted]:
-        """How far the sockets are apart."""
-        return scale_trusted("the sockets' distances", PLATE_SCALE, "along", cure="measuring the bar")
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Vector from the socket to the ball's centre (3, mm)."""
@@ -175,18 +202,14 @@ class TrackedPoint(PointInFrame):
     """
 
     columns = FrozenMapping(dict.fromkeys(AXES, "length"))
-
-    @property
-    def trusted(self) -> Mapping[str, Trusted]:
-        """The scale of the tracker's lengths."""
-        return scale_trusted("the scale of the coordinates", TRACKER_SCALE, *AXES, cure="a known length")
+    trusted = Trusted.scale("the scale of the coordinates", TRACKER_SCALE, *AXES, cure="a known length")
 
     @property
     def suspects(self) -> tuple[Suspect, ...]:
         """Units, and a mirrored frame."""
         cause = "the points seem to come in a left-handed frame: one axis counted the other way, or two exchanged"
         fix = "Export them in a right-handed frame, or correct the column that is wrong"
-        return (*units_mistaken(self.columns), Suspect("left-handed frame", cause, fix, ("z",), -1.0))
+        return (*Suspect.units(self.columns), Suspect("left-handed frame", cause, fix, ("z",), -1.0))
 
     @property
     def words(self) -> Words:
@@ -215,6 +238,7 @@ class KnownPoint(PointInFrame):
     known_by = groups = "point"
     knows_every_label = True  # a point that is not listed stands nowhere
     words = Words(COORDINATE, "mm", "points", "plate fitted alone", "the points' coordinates", "point", accuracy=True)
+    trusted = Trusted.scale("the points' coordinates", PLATE_SCALE, *AXES, cure="measuring the plate")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -229,11 +253,6 @@ class KnownPoint(PointInFrame):
         if len(known) < 3 or np.linalg.matrix_rank(known - known.mean(axis=0), tol=1e-6) < 2:
             what = f"The plate has {len(known)} points, and they do not say how it lies"
             raise ProblemError(what, "Give three or more that do not lie on one line")
-
-    @property
-    def trusted(self) -> Mapping[str, Trusted]:
-        """How far the points are apart."""
-        return scale_trusted("the points' coordinates", PLATE_SCALE, *AXES, cure="measuring the plate")
 
     @property
     def known_columns(self) -> Mapping[str, Mapping[str, float]]:
@@ -263,18 +282,14 @@ class SphereTouch(ToolTip):
 
     datum = ("centre",)
     words = Words(
-        "distance from the spheres",
-        "mm",
-        "touches",
-        "spheres fitted alone",
-        "the radius and form of spheres and probe",
-        group="sphere",
+        *("distance from the spheres", "mm", "touches", "spheres fitted alone"),
+        *("the radius and form of spheres and probe", "sphere"),
     )
 
     @property
     def trusted(self) -> Mapping[str, Trusted]:
         """The radius, where it is held."""
-        return held_trusted("radii", self.radii, "the radius of spheres and probe", RADIUS_STD, cure="measuring both")
+        return Trusted.held("radii", self.radii, "the radius of spheres and probe", RADIUS_STD, cure="measuring both")
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Gap between ball and sphere, mm."""
@@ -309,7 +324,7 @@ class SelfContact(ToolTip):
     @property
     def trusted(self) -> Mapping[str, Trusted]:
         """The sum of both radii, where it is held."""
-        return held_trusted("apart", self.apart, "the radii of the balls", RADIUS_STD, cure="measuring both")
+        return Trusted.held("apart", self.apart, "the radii of the balls", RADIUS_STD, cure="measuring both")
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Gap between the balls, mm."""
@@ -338,11 +353,7 @@ class Distance(ToolTip):
     words = Words(
         "residual of the length", "mm", "lengths", "anchors and zero fitted alone", "the scale of the lengths", "anchor"
     )
-
-    @property
-    def trusted(self) -> Mapping[str, Trusted]:
-        """The scale of the lengths."""
-        return scale_trusted("the scale of the lengths", WIRE_SCALE, "length", cure="a known length")
+    trusted = Trusted.scale("the scale of the lengths", WIRE_SCALE, "length", cure="a known length")
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Predicted minus read length, mm."""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import math
+import operator
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +18,17 @@ from casacal.errors import ProblemError, SamplesError, UnknownNameError, came, r
 from casacal.model.constraint import Constraint, Correlation
 from casacal.model.instrument import Instrument, Words, check_declaration, with_setting, with_unknown
 from casacal.model.robot import Robot
-from casacal.model.symbols import Compiled, Symbols
 from casacal.model.term import Term
-from casacal.model.trace import RowModel
+from casacal.model.trace import RowModel, Symbols
 from casacal.model.unknown import Unknown
 from casacal.values import EMPTY, FrozenMapping, Value
 from casacal.wording import html_table
 
 NAME = re.compile("[A-Za-z][A-Za-z0-9_-]*")
 
-Shared = Mapping[str, tuple[str, ...]]
-"""Keys of unknowns that instruments have in common, and the names of these."""
+Shared = Mapping[str, tuple[str, ...]]  # keys of unknowns that instruments have in common, and the names of these
+Compiled = list[tuple[tuple[Term, ...], tuple[RowModel, ...]]]
+"""Terms, and the compiled functions of each instrument with these: one list of problems that differ in priors alone."""
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -115,9 +116,9 @@ class Problem(Value):
     def instrument(self) -> Instrument:
         """The only instrument; raises ProblemError where there are several."""
         if len(self.instruments) > 1:
-            by, fix = f"{len(self.instruments)} instruments ({self._said})", "Take one of them, such as"
-            what = f"'{self.robot.name}' is measured by {by}, and this takes one"
-            raise ProblemError(what, f"{fix} problem.measured_by('{self.names[0]}')")
+            what = f"'{self.robot.name}' is measured by {len(self.instruments)} instruments ({self._said})"
+            fix = f"Take one of them, such as problem.measured_by('{self.names[0]}')"
+            raise ProblemError(f"{what}, and this takes one", fix)
         return self.instruments[0]
 
     @property
@@ -184,12 +185,17 @@ class Problem(Value):
 
     @cached_property
     def _compiled(self) -> Compiled:
-        return Compiled()
+        return []
 
     @cached_property
     def models(self) -> tuple[RowModel, ...]:
         """Compiled functions, one set per instrument; built on first use, for all that differ in priors alone."""
-        return self._compiled.models(self.terms, self._symbols)
+        for terms, models in self._compiled:
+            if len(terms) == len(self.terms) and all(map(operator.is_, terms, self.terms)):
+                return models
+        made = tuple(symbols.model for symbols in self._symbols)
+        self._compiled.append((self.terms, made))
+        return made
 
     @property
     def symbols(self) -> Symbols:
@@ -249,7 +255,8 @@ class Problem(Value):
         """Copy with unknowns held at nominal, by key ("alpha") or component ("a3"); UnknownNameError for others."""
         changed = self
         for name in names:
-            changed = changed._edit(name, lambda unknown, meant: unknown.with_free([not hit for hit in meant]))
+            key, unknown, meant = changed._meant(name)
+            changed = changed._with(key, unknown.with_free([not hit for hit in meant]))
         return changed
 
     def free(self, *names: str) -> Problem:
@@ -278,10 +285,8 @@ class Problem(Value):
         for names in two of them or with a standard deviation beside it.
         """
         if not isinstance(covariance, Mapping):
-            what = f"Got {came(covariance)} as the covariance"
-            raise ProblemError(
-                what, 'Give a dict of matrices by names, such as {("a2", "a3"): [[0.4, 0.1], [0.1, 0.4]]}'
-            )
+            fix = 'Give a dict of matrices by names, such as {("a2", "a3"): [[0.4, 0.1], [0.1, 0.4]]}'
+            raise ProblemError(f"Got {came(covariance)} as the covariance", fix)
         changed, known = self, list(self.constraints)
         for names, matrix in covariance.items():
             one, own = Correlation.of(names, matrix)
@@ -293,7 +298,13 @@ class Problem(Value):
                 raise ProblemError(f"'{min(both)}' has a standard deviation and a covariance", fix)
             known, stds = [*known, one], {**stds, **own}
         for name, std in stds.items():
-            changed = changed._edit(name, partial(_with_std, name, std))
+            key, unknown, meant = changed._meant(name)
+            units = sorted({unit for unit, hit in zip(unknown.units, meant, strict=True) if hit})
+            if len(units) > 1:
+                what = f"'{name}' has components in {' and '.join(units)}, so one standard deviation does not fit all"
+                raise ProblemError(what, f"Name a component: {', '.join(unknown.names(name))}")
+            each = zip(unknown.prior_stds, meant, strict=True)
+            changed = changed._with(key, unknown.with_prior([std if hit else float(before) for before, hit in each]))
         return changed.with_parts(changed.robot, changed.instruments, constraints=known, compiled=self._compiled)
 
     def with_settings(self, values: Mapping[str, float | tuple[float, float]]) -> Problem:
@@ -355,12 +366,12 @@ class Problem(Value):
         kinds = [type(instrument).__name__ for instrument in self.instruments]
         return ", ".join(map(": ".join, zip(self.names, kinds, strict=True))) if len(kinds) > 1 else kinds[0]
 
-    def _edit(self, name: str, edit: Callable[[Unknown, list[bool]], Unknown]) -> Problem:
-        """Copy with an unknown edited, told which of its free components a name means: all by its key, or one."""
+    def _meant(self, name: str) -> tuple[str, Unknown, list[bool]]:
+        """The unknown that a name means, and which of its free components: all by its key, or one."""
         for key, unknown in self._named():
             meant = [name in (key, component) for component in unknown.names(key)]
             if any(meant):
-                return self._with(key, edit(unknown, meant))
+                return key, unknown, meant
         raise UnknownNameError("free unknown", name, self.free_names())
 
     def _with(self, name: str, unknown: Unknown) -> Problem:
@@ -422,13 +433,3 @@ def _shared_by(shared: Any, instruments: Mapping[str, Instrument]) -> Shared:
             raise ProblemError(what, "Declare it once, and give the same to each")
         found[str(key)] = tuple(names)
     return FrozenMapping(found)
-
-
-def _with_std(name: str, std: float, unknown: Unknown, meant: list[bool]) -> Unknown:
-    """An unknown with another prior standard deviation of the components that a name means."""
-    units = sorted({unit for unit, hit in zip(unknown.units, meant, strict=True) if hit})
-    if len(units) > 1:
-        what = f"'{name}' has components in {' and '.join(units)}, so one standard deviation does not fit all"
-        raise ProblemError(what, f"Name a component: {', '.join(unknown.names(name))}")
-    pairs = zip(unknown.prior_stds, meant, strict=True)
-    return unknown.with_prior([std if hit else float(before) for before, hit in pairs])

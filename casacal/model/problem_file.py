@@ -121,15 +121,9 @@ def keep_conventions(source: ProblemFile, *, file: str, poses: int) -> Path:
     """Write beside problem.py that so many poses of a file, off the pendant, confirm its joint conventions."""
     robot = source.problem.robot
     joints = random_joints(robot, 4, np.random.default_rng(0))
-    kept = {
-        "poses": poses,
-        "file": file,
-        "joints": joints.tolist(),
-        "flange_mm": drawn_places(robot, joints).tolist(),
-    }
-    place = Path(source.path).parent / CONVENTIONS
-    write_json(place, kept)
-    return place
+    places, kept_in = drawn_places(robot, joints).tolist(), Path(source.path).parent / CONVENTIONS
+    write_json(kept_in, {"poses": poses, "file": file, "joints": joints.tolist(), "flange_mm": places})
+    return kept_in
 
 
 def load_problem(path: str | Path) -> ProblemFile:

@@ -47,8 +47,7 @@ class Answers:
     tool: the tip at reading zero in the flange frame, mm. sign: +1 where a larger reading lengthens the tool, -1 where
     it shortens it. accuracy: absolute accuracy of the arm as its maker states it, mm. plates: the faces to touch, and
     whether they were only proposed. block: height of a gauge block on the first of them, mm. table: height of the table
-    on which everything stands, mm in the base frame, -inf for none. keep_out: boxes that the arm must not enter, as
-    ranges of x, y, z.
+    on which all stands, mm in the base frame, -inf for none. keep_out: ranges of x, y, z that the arm must not enter.
 
     Raises CasacalError for what cannot be.
     """

@@ -47,12 +47,9 @@ class FaceFrame:
 class Survey:
     """Places of the fitted rows, and the order in which they were measured."""
 
-    faces: Mapping[str, FaceFrame]
-    """Frames of the faces touched three times or more, by label."""
-    lines: tuple[int, ...]
-    """Lines of the rows in order, or of some, evenly over all: when a row was is a matter of rows, not of lines."""
-    samples: Samples
-    """The rows themselves, or, of very many, some of them."""
+    faces: Mapping[str, FaceFrame]  # frames of the faces touched three times or more, by label
+    lines: tuple[int, ...]  # of the rows in order, or of some, evenly over all: when a row was is a matter of rows
+    samples: Samples  # the rows themselves, or, of very many, some of them
 
     @staticmethod
     def of(samples: Samples, tips: Array, instrument: Instrument) -> Survey:
@@ -62,10 +59,8 @@ class Survey:
         own = {name: FaceFrame.of(tips[rows[name]]) for name in rows if len(rows[name]) >= FEWEST}
         faces = {name: own[on[name]] for name in rows if on[name] in own}
         some = np.unique(np.linspace(0, len(samples) - 1, MANY).astype(int))
-        order = np.sort(np.asarray(samples.lines))[some]
-        return Survey(
-            FrozenMapping(faces), tuple(order.tolist()), samples.take(some) if len(samples) > MANY else samples
-        )
+        order = tuple(np.sort(np.asarray(samples.lines))[some].tolist())
+        return Survey(FrozenMapping(faces), order, samples.take(some) if len(samples) > MANY else samples)
 
     def places(self, samples: Samples, tips: Array, label: str | None) -> Array:
         """Coordinates (N, 2) of rows on their faces, -1 to 1; the middle of a face that was not fitted."""
@@ -90,10 +85,8 @@ class SurveyedRows:
     """Rows of an instrument with nominal tips and a survey, as terms see them before anything is fitted."""
 
     samples: Samples
-    tips: Array
-    """Nominal tips (N, 3; mm)."""
-    survey: Survey
-    """Survey of the rows that are fitted, these or others."""
+    tips: Array  # nominal tips (N, 3; mm)
+    survey: Survey  # survey of the rows that are fitted, these or others
 
 
 @dataclass(frozen=True)
@@ -126,22 +119,17 @@ class Site:
 class Here(Site):
     """One row in symbols, as terms see it."""
 
-    p: Any
-    """Values of all unknowns by name, those of the terms among them."""
-    q: Expression
-    """Joint values (n; rad, mm) as the controller says."""
-    pose: Expression
-    """Flange pose (4x4, mm), with the terms that came before."""
-    row: Any
-    """Columns by name: those that were read, and those that terms ask for."""
+    p: Any  # values of all unknowns by name, those of the terms among them
+    q: Expression  # joint values (n; rad, mm) as the controller says
+    pose: Expression  # flange pose (4x4, mm), with the terms that came before
+    row: Any  # columns by name: those that were read, and those that terms ask for
 
 
 class Term(Portable, ABC):
     """Something that rows may show and that no parameter of arm or instrument describes.
 
     Its unknowns are zero at the nominal; their priors say how far they may be from it. A subclass, best a frozen
-    dataclass, says `key`, `words` and `moves`, and gives `unknowns` and one or more of `joints`, `pose`, `reading` and
-    `residual`.
+    dataclass, says `key`, `words` and `moves`, and gives `unknowns` and any of `joints`, `pose`, `reading`, `residual`.
     """
 
     elsewhere: ClassVar[float] = 0.0

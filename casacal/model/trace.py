@@ -1,8 +1,15 @@
-"""The trace of a problem: pose and residual of one row as CasADi graphs, and compiled functions of them."""
+"""One robot with one instrument to CasADi: pose and residual of a row as graphs, and compiled functions of them.
+
+symbols = problem.symbols
+symbols.residual, symbols.z, symbols.c, symbols.q, symbols.columns["reading"]    expressions (SX)
+symbols.functions["residual"](z, c, d)                                           compiled, for SX, MX and numbers
+symbols.value_functions["pose"](alpha=..., a=..., d=..., theta=..., q=q)         the values p themselves as inputs
+"""
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,9 +18,9 @@ from typing import Any
 import casadi as ca
 
 from casacal.errors import ProblemError
-from casacal.kernels.backend import VARIABLE, row_kernels
 from casacal.kernels.block_rows import Batch, Columnwise, CurvatureKernel
 from casacal.kernels.filter_passes import Cubature
+from casacal.kernels.native_rows import VARIABLE, row_kernels
 from casacal.kernels.rows import Kernels
 from casacal.model.instrument import Instrument
 from casacal.model.kinematics import Expression, position
@@ -21,23 +28,26 @@ from casacal.model.robot import Robot
 from casacal.model.term import Here, Site, Term
 from casacal.model.traced_pose import traced
 from casacal.model.unknown import Unknown
-from casacal.values import FrozenMapping, Names, Value
+from casacal.values import FrozenMapping, Names, Value, alike, short
 
 
 @dataclass(frozen=True)
 class RowExpressions:
     """Expressions that `pose`, `tip` and `residual` build from values p, joint values q and a row's columns."""
 
-    pose: Expression
-    """4x4, mm; a `Product` where the robot's function returns one."""
+    pose: Expression  # 4x4, mm; a `Product` where the robot's function returns one
     tip: ca.SX
     residual: ca.SX
     plunger: ca.SX | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Trace(Value):
-    """Symbols of one robot with one instrument, and the expressions that its functions build of them."""
+class Symbols(Value):
+    """One robot with one instrument as CasADi expressions: lengths in mm, angles in rad; what `Problem.symbols` gives.
+
+    Expressions are SX and belong together: those of another `Symbols` do not mix with them. Raises ProblemError when
+    `pose`, `tip` or `residual` fails, has the wrong shape or depends on something else.
+    """
 
     robot: Robot
     instrument: Instrument
@@ -135,9 +145,19 @@ class Trace(Value):
             pose, row = _with_terms(here, self.acting)
         residual = traced(instrument.residual, "residual", kind, None, pose, p, row)
         here = replace(here, pose=pose)
-        for term in self.acting:
+        units = [block.unit for block in instrument.blocks for _ in range(block.size)]
+        places = [k for k, unit in enumerate(units) if unit == instrument.words.unit]
+        if len(units) != residual.numel():
+            places = list(range(residual.numel()))
+        for term in self.acting:  # each adds to the components that have its unit, one for all or one for each
             found = traced(term.residual, "residual", term.words, None, here, optional=True)
-            residual += _in_its_unit(instrument, residual, found, term.words)
+            if found.numel() > 1 and found.numel() != len(places):
+                what = f"residual of '{term.words}' has {found.numel()} components"
+                raise ProblemError(what, f"It must have one, or the {len(places)} of the instrument's residual")
+            added = ca.SX.zeros(residual.numel())
+            if found.numel() and places:
+                added[places] = found
+            residual += added
         read = list(instrument.columns)
         if read and not any(ca.depends_on(ca.SX(residual), columns[name]) for name in read):
             what = f"The residual of {kind} does not depend on what it reads, its column '{read[0]}'"
@@ -176,33 +196,29 @@ class Trace(Value):
 
     @cached_property
     def noise(self) -> ca.SX:
-        """Standard deviation w (m) of e: errors of joints and columns carried by its slope, beside its own."""
-        variance = ca.SX(ca.vertcat(*self._own_variances()))
-        for name, std in self.instrument.column_stds.items():
-            variance += (ca.jacobian(self.residual, self.columns[name]) * std) ** 2
-        for j, joint in enumerate(self.robot.axes):
-            if joint.repeatability_std > 0:
-                variance += (ca.jacobian(self.residual, self.q[j]) * joint.repeatability_std) ** 2
-        return ca.SX(ca.sqrt(variance))
+        """Standard deviation w (m) of e: errors of joints and columns carried by its slope, beside its own.
 
-    def _own_variances(self) -> list[ca.SX]:
-        """Variance of each component by itself; raises ProblemError where blocks are not those of the residual."""
-        instrument, components, columns = self.instrument, self.residual.numel(), self.columns
-        if not instrument.blocks:
-            return [ca.SX(instrument.residual_std**2)] * components
+        Raises ProblemError where the instrument's blocks are not those of the residual.
+        """
+        instrument, components, columns, own = self.instrument, self.residual.numel(), self.columns, list[ca.SX]()
         name, total = type(instrument).__name__, sum(block.size for block in instrument.blocks)
-        if total != components:
+        if instrument.blocks and total != components:
             fix = "Give each component a block"
             raise ProblemError(f"The blocks of {name} hold {total} residuals, and it has {components}", fix)
-        found = []
         for block in instrument.blocks:
             if isinstance(block.std, str) and block.std not in columns:
                 said = f"declared to be in the column '{block.std}', which it does not read"
                 fix = f"Its columns: {', '.join(columns) or 'none'}"
                 raise ProblemError(f"The noise of '{block.name}' of {name} is {said}", fix)
             std = columns[block.std] if isinstance(block.std, str) else ca.SX(block.std)
-            found += [std**2] * block.size
-        return found
+            own += [std**2] * block.size
+        variance = ca.SX(ca.vertcat(*(own or [ca.SX(instrument.residual_std**2)] * components)))
+        for column, error in instrument.column_stds.items():
+            variance += (ca.jacobian(self.residual, columns[column]) * error) ** 2
+        for j, joint in enumerate(self.robot.axes):
+            if joint.repeatability_std > 0:
+                variance += (ca.jacobian(self.residual, self.q[j]) * joint.repeatability_std) ** 2
+        return ca.SX(ca.sqrt(variance))
 
     @cached_property
     def free(self) -> tuple[Mapping[str, ca.SX], RowExpressions]:
@@ -210,6 +226,163 @@ class Trace(Value):
         packed = {key: ca.SX(unknown.packed(getattr(self.p, key))) for key, unknown in self.unknowns.items()}
         symbols = {key: ca.SX.sym(key, *matrix.shape) for key, matrix in packed.items()}
         return symbols, self.at({key: self.unknowns[key].unpacked(symbol) for key, symbol in symbols.items()})
+
+    @cached_property
+    def model(self) -> RowModel:
+        """The functions that estimators evaluate."""
+        return RowModel(self)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each of z, without labels."""
+        return tuple(name for key, unknown in self.unknowns.items() for name in unknown.names(key))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each of z."""
+        return tuple(unit for unknown in self.unknowns.values() for unit in unknown.units)
+
+    @cached_property
+    def functions(self) -> Mapping[str, ca.Function]:
+        """Compiled functions of one row, (z, c, d) -> residual, jacobian, noise, tip, pose: each by its name."""
+        outputs = {name: getattr(self, name) for name in ("residual", "jacobian", "noise", "tip", "pose")}
+        inputs = [self.z, self.c, self.d]
+        return FrozenMapping({k: row_function(k, inputs, [e], ["z", "c", "d"]) for k, e in outputs.items()})
+
+    @cached_property
+    def value_functions(self) -> Mapping[str, ca.Function]:
+        """Functions with the values free: "pose", "tip" and "residual" of values, q and columns, all inputs by name.
+
+        A value enters as `p` holds it: a number, a vector or a 4x4 frame; a plane as its normal (3), a point (3, mm)
+        and an offset (mm) along it. `pose` takes the robot's parameters and q; `tip` also what it depends on of the
+        instrument and the columns; `residual` everything. Raises ProblemError for a name that CasADi does not take.
+        """
+        free, built = self.free
+        for name in (*free, *self.columns):
+            if name == "q" or not ca.Function.check_name(name):
+                fix = "Rename it: letters, digits and single _, and not q, null, jac or hess"
+                raise ProblemError(f"'{name}' cannot name an input of a CasADi function", fix)
+        robot = {key: free[key] for key in self.robot.parameters}
+        row = {"q": self.q, **self.columns}
+        rest = {k: symbol for k, symbol in {**free, **row}.items() if k not in robot and k != "q"}
+        touching = {k: symbol for k, symbol in rest.items() if ca.depends_on(built.tip, symbol)}
+        others = {k: symbol for k, symbol in free.items() if k not in robot}
+        last = {k: touching.pop(k) for k in list(touching) if k in row}
+        inputs = {
+            "pose": (ca.SX(built.pose), {**robot, "q": self.q}),
+            "tip": (built.tip, {**robot, **touching, "q": self.q, **last}),
+            "residual": (built.residual, {**robot, **others, **row}),
+        }
+        return FrozenMapping({k: row_function(k, [*i.values()], [e], [*i]) for k, (e, i) in inputs.items()})
+
+    def c_code(self, *, prefix: str | None = None) -> str:
+        """Self-contained C99 with the parameters free: values, pose, tip, residual, Jacobian; see its head comment.
+
+        `prefix` begins the names of the functions; by default the robot's name. Raises ProblemError where it is no C
+        name.
+        """
+        prefix = re.sub(r"\W+", "_", self.robot.name, flags=re.ASCII).strip("_").lower() if prefix is None else prefix
+        if not re.fullmatch(r"[A-Za-z]([A-Za-z0-9]|_(?!_))*", prefix):
+            what = f"'{prefix}' cannot begin the name of a C function"
+            raise ProblemError(what, "Give a prefix of letters, digits and single _")
+        generator, wrappers, signatures = ca.CodeGenerator(f"{prefix}_code", {"with_header": False}), "", ""
+        for name, inputs, outputs, words in _parts(self):
+            made = {key: ca.densify(ca.vec(matrix)) for key, matrix in outputs.items()}
+            raw = f"{prefix}_{name}_raw"
+            function = row_function(raw, [*inputs.values()], [*made.values()])
+            generator.add(function)
+            arguments = [f"const double {key}[{max(symbol.numel(), 1)}]" for key, symbol in inputs.items()]
+            arguments += [f"double {key}[{matrix.numel()}]" for key, matrix in made.items()]
+            signature = f"void {prefix}_{name}({', '.join(arguments)})"
+            wrappers += (
+                f"\n{signature} {{\n"
+                f"  const double* arg[{max(function.sz_arg(), 1)}] = {{{', '.join(inputs)}}};\n"
+                f"  double* res[{max(function.sz_res(), 1)}] = {{{', '.join(outputs)}}};\n"
+                f"  {raw}(arg, res, 0, 0, 0);\n}}\n"
+            )
+            signatures += f" * {signature};\n *     {words}\n"
+        return _head(self, signatures) + str(generator.dump()) + wrappers
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both are about the same arm and instrument, to the last operation of the residual."""
+        if self is other or not isinstance(other, Symbols):
+            return self is other
+        one, two = self.instrument, other.instrument
+        if self.robot != other.robot or not alike(self.terms, other.terms):
+            return False
+        if one == two:
+            return True
+        # perhaps of a class that was read twice from its file
+        declared = type(one).__qualname__ == type(two).__qualname__ and alike(vars(one), vars(two))
+        return declared and self.model.text == other.model.text
+
+    def __hash__(self) -> int:
+        return hash((self.robot, type(self.instrument).__qualname__))
+
+    def __repr__(self) -> str:
+        shapes = {key: _shape(unknown.packed(getattr(self.p, key))) for key, unknown in self.unknowns.items()}
+        rows: list[tuple[str, Any, str]] = [
+            ("z", len(self.names), short(self.names)),
+            ("c", self.c.numel(), ", ".join(f"{key} {size}" for key, size in self.constants.items())),
+            ("q", self.q.numel(), " ".join("rad" if joint.turns else "mm" for joint in self.robot.axes)),
+            ("columns", len(self.columns), ", ".join(self.columns)),
+            ("p", len(shapes), ", ".join(f"{key} {shape}" for key, shape in shapes.items())),
+            ("pose", _shape(self.pose), "mm"),
+            ("tip", _shape(self.tip), "mm"),
+            ("residual", _shape(self.residual), self.instrument.words.unit),
+            ("jacobian", f"{self.residual.numel()}x{len(self.names)}", "of the residual by z"),
+            ("noise", _shape(self.residual), self.instrument.words.unit),
+        ]
+        head = f"Symbols of {self.robot.name}, measured by {type(self.instrument).__name__}"
+        return "\n".join([head, *(f"  {name:<9}{shape!s:>5}  {what}".rstrip() for name, shape, what in rows)])
+
+
+def _shape(expression: Any) -> str:
+    rows, columns = ca.SX(expression).shape
+    return str(rows) if columns == 1 else f"{rows}x{columns}"
+
+
+def _parts(traced: Symbols) -> list[tuple[str, dict[str, ca.SX], dict[str, ca.SX], str]]:
+    """Functions of values p, and of deviations z with constants c: name, inputs, outputs, and what each gives."""
+    symbols, built = traced.free
+    q, zc = {"q": traced.q}, {"z": traced.z, "c": traced.c}
+    row = {"row": ca.vertcat(*traced.columns.values(), ca.SX(0, 1))}
+    p = {"p": ca.vertcat(*(ca.vec(symbol) for symbol in symbols.values()))}
+    at = ca.vertcat(*(ca.vec(ca.SX(u.packed(getattr(traced.p, key)))) for key, u in traced.unknowns.items()))
+    slopes = {"residual": traced.residual, "jacobian": traced.jacobian.T}
+    return [
+        ("values", zc, {"p": at}, "the values p at deviations z from nominal"),
+        ("pose", p | q, {"pose": ca.SX(built.pose).T}, "flange pose, 4 x 4, row by row"),
+        ("tip", p | q | row, {"tip": built.tip}, "where the instrument touches or is watched, mm, base frame"),
+        ("residual", p | q | row, {"residual": built.residual}, "the residual e of one row"),
+        ("jacobian", zc | q | row, slopes, "e and its derivative by z, row by row"),
+        ("noise", zc | q | row, {"noise": traced.noise}, "standard deviation of e"),
+    ]
+
+
+def _head(traced: Symbols, signatures: str) -> str:
+    symbols, _ = traced.free
+    values = _counted({key: symbol.numel() for key, symbol in symbols.items()})
+    free = _counted({key: unknown.size for key, unknown in traced.unknowns.items() if unknown.size})
+    constants = _counted(traced.constants) or "none"
+    about = [
+        f"{traced.robot.name}, measured by {type(traced.instrument).__name__}, with its parameters free.",
+        "Lengths in mm, angles in rad. C99; needs math.h alone.",
+        "",
+        f"q    {traced.q.numel()} joint values, as the controller shows them",
+        f"row  columns: {', '.join(traced.columns) or 'none'}",
+        f"p    values: {values}",
+        "     a frame is 4 x 4, column by column; a plane its normal, a point and an offset along the normal",
+        f"z    deviations from nominal: {free}",
+        f"c    constants: {constants}",
+        "",
+    ]
+    lines = (line.replace("*/", "* /").replace("\n", " ") for line in about)  # which cannot end the comment
+    return "/*\n" + "".join(f" * {line}".rstrip() + "\n" for line in lines) + signatures + " */\n"
+
+
+def _counted(sizes: Mapping[str, int]) -> str:
+    return ", ".join(f"{key} {size}" for key, size in sizes.items())
 
 
 def _with_terms(here: Here, terms: Sequence[Term]) -> tuple[Expression, Names]:
@@ -228,23 +401,7 @@ def _with_terms(here: Here, terms: Sequence[Term]) -> tuple[Expression, Names]:
     return here.pose, Names(**read)
 
 
-def _in_its_unit(instrument: Instrument, residual: Expression, found: ca.SX, words: str) -> Any:
-    """A term's addition to the residual components that have its unit; zero for the others."""
-    units = [block.unit for block in instrument.blocks for _ in range(block.size)]
-    places = [k for k, unit in enumerate(units) if unit == instrument.words.unit]
-    if len(units) != residual.numel():
-        places = list(range(residual.numel()))
-    if found.numel() > 1 and found.numel() != len(places):
-        what = f"residual of '{words}' has {found.numel()} components"
-        raise ProblemError(what, f"It must have one, or the {len(places)} of the instrument's residual")
-    added = ca.SX.zeros(residual.numel())
-    if found.numel() and places:
-        added[places] = found  # one for all is spread over them
-    return added
-
-
-PER_RAD = 100.0
-"""Millimetres of a sliding joint that count as a radian: ten micrometres where a turning one errs by 0.1 mrad."""
+PER_RAD = 100.0  # mm of a sliding joint that count as a radian: ten micrometres where a turning one errs by 0.1 mrad
 
 
 def per_radian(robot: Robot) -> list[float]:
@@ -259,32 +416,21 @@ class RowModel:
     trace depends on anything but joints, columns and unknowns. What only some uses need is made when asked for.
     """
 
-    def __init__(self, traced: Trace) -> None:
+    def __init__(self, traced: Symbols) -> None:
         self._trace = traced
-        self.constants: tuple[str, ...] = tuple(traced.constants)
-        """Keys of the unknowns whose nominal is part of c, in order."""
-        self.terms: tuple[Term, ...] = traced.acting
-        """Terms that have unknowns for this robot and instrument."""
+        self.constants: tuple[str, ...] = tuple(traced.constants)  # keys of unknowns whose nominal is in c, in order
+        self.terms: tuple[Term, ...] = traced.acting  # terms that have unknowns for this robot and instrument
         declared = {**traced.robot.parameters, **traced.instrument.unknowns}
-        self.linear = traced.z.numel() - sum(unknown.size for unknown in declared.values())
-        """Number of unknowns of terms, which are the last in z."""
-        self.names: tuple[str, ...] = tuple(traced.columns)
-        """Columns of d beside the joint values, in order."""
-        self.residual = self._made("residual", traced.residual)
-        """e (m)."""
-        self.jacobian = self._made("jacobian", traced.residual, traced.jacobian.T)
-        """e (m), its derivative de/dz, row by row (m * nz)."""
-        self.noise = self._made("noise", traced.noise)
-        """Standard deviation w (m) of e."""
-        self.tip = self._made("tip", traced.tip)
-        """Tip (3), mm."""
-        self.pose = self._made("pose", traced.pose)
-        """Flange pose (16), column by column."""
-        self.arm = traced.robot.traced
-        """The pose of the arm as a graph, the same for all priors."""
+        self.linear = traced.z.numel() - sum(unknown.size for unknown in declared.values())  # of terms, the last in z
+        self.names: tuple[str, ...] = tuple(traced.columns)  # columns of d beside the joint values, in order
+        self.residual = self._made("residual", traced.residual)  # e (m)
+        self.jacobian = self._made("jacobian", traced.residual, traced.jacobian.T)  # e (m), de/dz row by row (m * nz)
+        self.noise = self._made("noise", traced.noise)  # standard deviation w (m) of e
+        self.tip = self._made("tip", traced.tip)  # tip (3), mm
+        self.pose = self._made("pose", traced.pose)  # flange pose (16), column by column
+        self.arm = traced.robot.traced  # the pose of the arm as a graph, the same for all priors
         plunger = traced.seen.plunger
-        self.plunger = None if plunger is None else self._made("plunger", plunger)
-        """Direction of the plunger (3) in the base frame; None for an instrument without one."""
+        self.plunger = None if plunger is None else self._made("plunger", plunger)  # its direction (3), base frame
         self._rows: dict[str, Kernels] = {}
         self._filters: dict[str, Cubature] = {}
         self._columnwise: dict[str, Columnwise] = {}

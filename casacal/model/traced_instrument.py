@@ -26,8 +26,7 @@ class TracedInstrument(Instrument):
 
     declared: its properties of `DECLARED`, by name, and instances, by the key of the unknown: of labels that share it
     with another one, such as steps, with which. values: unknowns of the robot and its own, by key, in the order of
-    the graph's arguments. graph: flange pose (4x4, mm), their packed values, and the row's columns to residual, tip (3,
-    mm) and plunger (3, or nothing).
+    the graph's arguments. graph: flange pose (4x4, mm), packed values and columns to residual, tip (3, mm) and plunger.
     """
 
     declared: Mapping[str, Any]

@@ -25,8 +25,7 @@ from casacal.values import Array, FrozenMapping, Names, Rows, Value
 
 Triple = tuple[float, float, float]
 
-RIGID = 1e-4
-"""Largest error of the entries of R^T R, and of the last row, of what still counts as a rigid pose: 0.05 mm a metre."""
+RIGID = 1e-4  # largest error of R^T R, and of the last row, of what still counts as a rigid pose: 0.05 mm a metre
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -246,8 +245,7 @@ def travels(function: Callable[..., Any]) -> bool:
         return False
 
 
-LENGTHS = {"mm": 1.0, "m": 1e-3}
-"""Units of length of such a function, and how many of them a millimetre is."""
+LENGTHS = {"mm": 1.0, "m": 1e-3}  # units of length of such a function, and how many of them a millimetre is
 WANTED = "a 4x4 or 3x4 matrix, or a position (3) and a rotation (3x3)"
 NEARLY = 1e-6  # largest entry of R'R - 1 of a rotation: URDFs hold six digits of pi
 

@@ -14,27 +14,8 @@ import numpy as np
 from casacal.data.columns import Dimension
 from casacal.errors import ProblemError, came
 from casacal.model.geometry import Frame, hand_eye, transform
-from casacal.model.instrument import (
-    COORDINATE,
-    Instrument,
-    ResidualBlock,
-    Sight,
-    Suspect,
-    Trusted,
-    Words,
-    scale_trusted,
-    units_mistaken,
-)
-from casacal.model.kinematics import (
-    Expression,
-    chain,
-    position,
-    rotate_x,
-    rotate_y,
-    rotate_z,
-    rotation,
-    rotation_of_quaternion,
-)
+from casacal.model.instrument import COORDINATE, Instrument, ResidualBlock, Sight, Suspect, Trusted, Words
+from casacal.model.kinematics import ROTATE, Expression, chain, position, rotation, rotation_of_quaternion
 from casacal.values import Array, is_real
 
 POSITION = ("x", "y", "z")
@@ -45,8 +26,6 @@ TURNS = ("turn_1", "turn_2", "turn_3")
 POSE_SCALE = 0.01  # percent: cameras and boards; a tracker is better
 NO_TURN = 1e-6  # size of a quaternion's numbers below which it says nothing
 SMALL = 1e-24  # keeps a rotation vector of zero from being divided by its length
-
-ABOUT = {"x": rotate_x, "y": rotate_y, "z": rotate_z}
 
 HALF_TURN = 1e-16  # keeps the residual of the orientation smooth where it is half a turn off; nothing near zero
 
@@ -84,6 +63,7 @@ class TrackedPose(Instrument):
     station: Frame = Frame()
 
     words = Words(COORDINATE, "mm", "poses", "body and station fitted alone", "the scale of the poses", accuracy=True)
+    trusted = Trusted.scale("the scale of the poses", POSE_SCALE, *POSITION, cure="a known length")
 
     def __post_init__(self) -> None:
         for name in ("position_std", "angle_std"):
@@ -129,20 +109,14 @@ class TrackedPose(Instrument):
         return (place, ResidualBlock("orientation", 3, "rad", self.angle_std))
 
     @property
-    def trusted(self) -> Mapping[str, Trusted]:
-        """The scale of the positions."""
-        return scale_trusted("the scale of the poses", POSE_SCALE, *POSITION, cure="a known length")
-
-    @property
     def suspects(self) -> tuple[Suspect, ...]:
         """Units, a mirrored frame, and orientations in another order, or that turn the other way."""
-        lengths = units_mistaken(dict.fromkeys(POSITION, "length"))
         mirror = "the positions seem to come in a left-handed frame: one axis counted the other way"
         right = "Export them in a right-handed frame, or correct the column that is wrong"
         other = "the poses seem to be those of the device in the body's frame, as of a board in the camera's"
         invert = "Invert each pose: its rotation R becomes R', its position t becomes -R' t"
         return (
-            *lengths,
+            *Suspect.units(dict.fromkeys(POSITION, "length")),
             *self._turns_mistaken(),
             Suspect("left-handed frame", mirror, right, ("z",), -1.0),
             Suspect("poses inverted", other, invert, (*POSITION, *self.turn_columns), 1.0, change=self.inverted),
@@ -206,7 +180,7 @@ class TrackedPose(Instrument):
             vector = ca.vertcat(*entries)
             angle = ca.sqrt(ca.sumsqr(vector) + SMALL)
             return rotation_of_quaternion(ca.vertcat(ca.cos(angle / 2), ca.sin(angle / 2) * vector / angle))
-        turns = [ABOUT[axis](angle) for axis, angle in zip(self.orientation.lower(), entries, strict=True)]
+        turns = [ROTATE[axis](angle) for axis, angle in zip(self.orientation.lower(), entries, strict=True)]
         return rotation(chain(*(turns if self.orientation.isupper() else reversed(turns))))
 
     def quaternions(self, columns: Mapping[str, Array]) -> Array:

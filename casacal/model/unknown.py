@@ -25,13 +25,11 @@ OTHER_UNITS = {
     **dict.fromkeys(("millimetre", "millimetres", "millimeter", "millimeters"), (1.0, "mm")),
 }
 """Units that a drawing may have, and the factor to that of models."""
-PRIOR_STD = {"mm": 0.7, "rad": 1e-3}
-"""Prior of a number whose user gives none: what machining and assembly leave of an industrial arm; see `priors`."""
+PRIOR_STD = {"mm": 0.7, "rad": 1e-3}  # where a user gives none: what machining and assembly leave of arms; see `priors`
 
 LARGEST_STD = 1e12  # a standard deviation beyond which, or below whose inverse, arithmetic ends before knowledge does
 
-START_STD = {"mm": 10.0, "rad": 0.01}
-"""Start of a filter's or a population's spread where the prior is flat (10 mm, 10 mrad); never part of the cost."""
+START_STD = {"mm": 10.0, "rad": 0.01}  # where filters and populations start with a flat prior; never part of the cost
 
 
 class Unknown(ABC):

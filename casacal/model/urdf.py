@@ -322,7 +322,15 @@ class UrdfChain:
             if joint.kind == "fixed":
                 fixed = fixed @ origin_matrix(joint)
                 continue
-            links += [*self._origin(fixed, joint, p, i), _motion(joint, q[i])]
+            axis, moved = np.array(joint.axis) / math.hypot(*joint.axis), q[i]
+            along = np.flatnonzero(np.abs(axis) > 1 - 1e-15)  # a turn about a coordinate axis keeps its zeros
+            if joint.kind == "prismatic":
+                motion = slide(axis, moved)
+            elif along.size:
+                motion = (rotate_x, rotate_y, rotate_z)[along[0]](moved if axis[along[0]] > 0 else -moved)
+            else:
+                motion = rotate(axis, moved)
+            links += [*self._origin(fixed, joint, p, i), motion]
             fixed, i = np.eye(4), i + 1
         return chain(*links, *([] if np.array_equal(fixed, np.eye(4)) else [ca.DM(fixed)]))
 
@@ -337,8 +345,7 @@ class UrdfChain:
     def parameters(self, length_std: float | None, angle_std: float | None) -> Mapping[str, Unknown]:
         """Unknowns x, y, z (mm): the origins; rx, ry, rz (rad, nominally zero): small turns of each joint's frame.
 
-        The turns are about the frame's own axes and not the file's roll, pitch and yaw: these lose a direction at a
-        pitch of 90 degrees, where many drawings stand.
+        These are not the file's roll, pitch and yaw, which lose a direction at 90 degrees, where many drawings stand.
         """
         rows, zeros = np.array([joint.xyz for joint in self.moving]).T * MM, (0.0,) * len(self.moving)
         turns = {key: Parameter(zeros, unit="rad", prior_std=angle_std) for key in ("rx", "ry", "rz")}
@@ -346,10 +353,8 @@ class UrdfChain:
 
     def origins_at(self, p: Any) -> list[Array]:
         """Origins (4x4, mm) of the moving joints in their parents at numbers `p`, without the fixed joints."""
-        return [
-            np.asarray(chain(*self._origin(np.eye(4), joint, p, i)).matrix, dtype=np.float64)
-            for i, joint in enumerate(self.moving)
-        ]
+        made = (chain(*self._origin(np.eye(4), joint, p, i)) for i, joint in enumerate(self.moving))
+        return [np.asarray(each.matrix, dtype=np.float64) for each in made]
 
 
 def origin_matrix(joint: UrdfJoint) -> Array:
@@ -368,17 +373,6 @@ def _limits(joint: UrdfJoint) -> tuple[float, float]:
     return joint.limits[0] * scale, joint.limits[1] * scale
 
 
-def _motion(joint: UrdfJoint, q: Expression) -> Expression:
-    """Motion (4x4) of a joint; rotations about a coordinate axis keep their structural zeros."""
-    axis = np.array(joint.axis) / math.hypot(*joint.axis)
-    if joint.kind == "prismatic":
-        return slide(axis, q)
-    for k, turn in enumerate((rotate_x, rotate_y, rotate_z)):
-        if abs(axis[k]) > 1 - 1e-15:
-            return turn(q if axis[k] > 0 else -q)
-    return rotate(axis, q)
-
-
 def weights_of(
     path: str | Path, base: str | None, tip: str | None, payload: float
 ) -> tuple[tuple[float, ...], tuple[Triple, ...]]:
@@ -395,10 +389,21 @@ def weights_of(
     moving = [joint.name for joint in chain if joint.kind != "fixed"]
     if not (math.isfinite(payload) and payload >= 0):
         raise ProblemError(f"A payload of {payload!r} kg came", "Give zero or more")
-    weighs = _inertials(path)
-    masses, moments = np.zeros(len(moving)), np.zeros((len(moving), 3))
+    weighs = list[tuple[str, float, Array]]()
+    for element in ElementTree.parse(path).getroot().findall("link"):
+        inertial, name = element.find("inertial"), element.get("name", "")
+        weight, origin = (inertial.find(tag) if inertial is not None else None for tag in ("mass", "origin"))
+        if weight is None:
+            continue
+        kg = _numbers(path, f"mass of link '{name}'", weight.get("value", ""), 1)[0]
+        xyz = "0 0 0" if origin is None else origin.get("xyz", "0 0 0")
+        place = np.array(_numbers(path, f"centre of mass of link '{name}'", xyz, 3))
+        if kg < 0:
+            raise ProblemError(f"{path}: the mass of link '{name}' is {kg:g}", "Give kilograms, zero or more")
+        weighs.append((name, kg, place * MM))
     if payload:
         weighs.append((chain[-1].child, payload, np.zeros(3)))
+    masses, moments = np.zeros(len(moving)), np.zeros((len(moving), 3))
     for link, mass, centre in weighs:
         way = found.between(root, link) or ()
         pose = np.eye(4)
@@ -413,23 +418,6 @@ def weights_of(
         raise ProblemError(f"{path}: no link of the arm has a mass", "Add <inertial>, or give masses= yourself")
     places = moments / np.where(masses > 0, masses, 1.0)[:, None]
     return tuple(map(float, masses)), tuple((float(x), float(y), float(z)) for x, y, z in places)
-
-
-def _inertials(path: str | Path) -> list[tuple[str, float, Array]]:
-    """Links with a mass (kg), and where its centre is in the link's own frame (3, mm)."""
-    weighs = []
-    for link in ElementTree.parse(path).getroot().findall("link"):
-        inertial, name = link.find("inertial"), link.get("name", "")
-        mass, origin = (inertial.find(tag) if inertial is not None else None for tag in ("mass", "origin"))
-        if mass is None:
-            continue
-        kg = _numbers(path, f"mass of link '{name}'", mass.get("value", ""), 1)[0]
-        xyz = "0 0 0" if origin is None else origin.get("xyz", "0 0 0")
-        place = np.array(_numbers(path, f"centre of mass of link '{name}'", xyz, 3))
-        if kg < 0:
-            raise ProblemError(f"{path}: the mass of link '{name}' is {kg:g}", "Give kilograms, zero or more")
-        weighs.append((name, float(kg), place * MM))
-    return weighs
 
 
 def _numbers(path: str | Path, what: str, text: str, count: int) -> list[float]:

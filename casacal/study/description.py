@@ -37,8 +37,7 @@ def fingerprint(value: Any) -> str:
     """Sixteen hexadecimal digits that change when a value does, or a function, or anything these refer to.
 
     Knows numbers, texts, arrays, collections, dataclasses, enumerations, partial functions, and Python functions by
-    their byte code, defaults, closure and the globals they use. casacal's own functions and classes count by name:
-    `code_fingerprint` covers them.
+    their byte code, defaults, closure and the globals they use. casacal's own count by name: see `code_fingerprint`.
     """
     return _digest(json.dumps(_described(value, ()), sort_keys=True).encode())[:16]
 
@@ -150,8 +149,7 @@ DIGITS = 10  # significant digits that a record keeps of a number
 TIMING_DIGITS = 4
 TIMINGS = "seconds"  # the one entry of a record that may differ when the trial is run again
 LIMIT = "limit"  # key of the time limit, in seconds, in a record whose method it ended
-_CHECKED = re.compile(rb',"check":"([0-9a-f]{16})"}$')
-"""End of a line: the first half of the SHA-256 of the line without this end."""
+_CHECKED = re.compile(rb',"check":"([0-9a-f]{16})"}$')  # first half of the SHA-256 of the line without this end
 
 
 def key_of(record: Mapping[str, Any]) -> Key:
@@ -177,8 +175,7 @@ def read_records(path: Path) -> list[Record]:
     """Records of a file, or of the same file gzipped, without the last line where a kill cut it short.
 
     None when there is no file. Raises StudyError for a line that is no record or is not as it was written, and for two
-    records of one trial and method that differ. Only where no line has a checksum, as in files of versions before there
-    were any, none is asked for.
+    records of one trial and method that differ. Where no line has a checksum, as in early files, none is asked for.
     """
     content = _content_of(path)
     lines = content[: content.rfind(b"\n") + 1].splitlines()
@@ -327,8 +324,7 @@ def _rounded(value: Any, digits: int) -> Any:
     return value
 
 
-Estimator: TypeAlias = Callable[..., Result | Array]
-"""A function of a `LeastSquares` that returns a `Result`, or the estimate x (n,) alone."""
+Estimator: TypeAlias = Callable[..., Result | Array]  # of a `LeastSquares`, to a `Result` or the estimate x (n,)
 
 
 class Trial(Protocol):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import math
 import multiprocessing
@@ -33,8 +32,7 @@ Made = TypeVar("Made")
 
 CONNECT_SECONDS, CLOSE_SECONDS = 10, 5
 
-_ONE_AT_A_TIME = threading.Lock()
-"""Compiled functions keep buffers, so threads of one process take turns; clocks then measure one method alone."""
+_ONE_AT_A_TIME = threading.Lock()  # compiled functions keep buffers; and clocks then measure one method alone
 
 
 @dataclass(frozen=True)
@@ -123,25 +121,23 @@ def begin_worker(*, shared: bool = True) -> None:
 
     shared: whether others run beside it, so that one thread must do.
     """
+
+    def follow() -> None:
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)  # a worker whose parent is gone waits for tasks for ever
+
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=follow, daemon=True).start()
     if shared:
         os.environ.setdefault(THREADS, "1")
-
-
-def _end_with_parent() -> None:
-    """Wait for the process that started this one to be gone, and follow it."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)  # a worker whose parent is gone waits for tasks for ever
 
 
 def on_cluster(function: Callable[[Item], Made], tasks: Sequence[Item], address: str) -> Iterator[Made]:
     """Results of a function, task by task, from the Dask cluster whose scheduler listens at `address` (tcp://host:8786).
 
-    Its workers need casacal and the study's file at the same path. Raises StudyError without the extra `cluster`,
-    when no scheduler answers, or when its workers are lost.
+    Its workers need casacal and the study's file at the same path. Raises StudyError where Dask is not there or lost.
     """
     try:
         from dask.distributed import Client, as_completed
@@ -173,8 +169,7 @@ def on_cluster(function: Callable[[Item], Made], tasks: Sequence[Item], address:
 
 BEGIN_SECONDS = 300.0  # how long a process may take to import what it needs and to read the study
 LEEWAY = 30.0  # seconds beyond its limit after which a process whose parent is gone is ended by the system
-_CHILDREN = threading.Lock()
-"""To start a process, Python asks all others whether they have ended; only one thread may hear it."""
+_CHILDREN = threading.Lock()  # to start one, Python asks all others whether they have ended; one thread may hear it
 
 
 def supervised(name: str, errands: Sequence[Errand], seconds: float, workers: int) -> Iterator[list[Record]]:
@@ -249,8 +244,14 @@ def _heard(
             heard.append(said)
             missing -= said is not None
         return heard, None
-    finally:
-        _end(process)
+    finally:  # end it, and what it started
+        if hasattr(os, "killpg") and process.pid is not None:
+            with suppress(ProcessLookupError, PermissionError):
+                os.killpg(process.pid, signal.SIGKILL)
+        with _CHILDREN:
+            process.kill()
+            process.join()
+            process.close()
         receive.close()
 
 
@@ -267,17 +268,6 @@ def _words(process: BaseProcess) -> str:
         return f"Ended: the process of the trial came to an end with exit code {code}"
     known = {each.value: each.name for each in signal.Signals}
     return f"Ended: the process of the trial was killed by {known.get(-code, f'signal {-code}')}"
-
-
-def _end(process: BaseProcess) -> None:
-    """End a process, and those that it started."""
-    if hasattr(os, "killpg") and process.pid is not None:
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(process.pid, signal.SIGKILL)
-    with _CHILDREN:
-        process.kill()
-        process.join()
-        process.close()
 
 
 def _serve(send: Connection, errand: Errand, seconds: float, shared: bool) -> None:

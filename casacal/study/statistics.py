@@ -12,8 +12,7 @@ from scipy.stats import binomtest, wilcoxon
 from casacal.values import Array
 
 RESAMPLES, AT_ONCE = 4000, 500
-NO_DIFFERENCE = 1e-6
-"""Relative difference below which two figures count as equal: where iterations stop is no property of a method."""
+NO_DIFFERENCE = 1e-6  # relative; below it figures count as equal: where iterations stop is no property of a method
 
 
 @dataclass(frozen=True)

@@ -134,8 +134,7 @@ def read_machines(out: Path) -> list[dict[str, Any]]:
 def write_report(source: StudyFile, run: Run, options: str) -> Path:
     """Write report.md, and what else the study draws, into the run's folder; returns its path.
 
-    options: of the command, those that decide what is in the report. Raises StudyError when the study's own report
-    fails, or says nothing.
+    options: of the command, those that decide what it says. Raises StudyError when the study's report fails or is none.
     """
     run.out.mkdir(parents=True, exist_ok=True)
     commands = [f"{command}{options}" for command in source.commands]

@@ -151,8 +151,7 @@ class Task:
 def undone(seed: int) -> Iterator[None]:
     """Restore afterwards: folder, environment, error handling of NumPy, warnings, and the common random numbers.
 
-    These begin at a seed, so that a method which draws from them does the same whatever ran before. What overflows
-    raises nothing meanwhile.
+    These begin at a seed, so that a method which draws from them does the same whatever ran before. Overflow is silent.
     """
     folder, environment = _folder(), dict(os.environ)
     drawn = random.getstate(), np.random.get_state()  # noqa: NPY002  the common one is what is meant
@@ -236,9 +235,8 @@ def _state(problem: LeastSquares) -> list[Array]:
 
 def _unchanged(problem: LeastSquares, before: list[Array]) -> bool:
     try:
-        return all(
-            np.array_equal(one, other, equal_nan=True) for one, other in zip(_state(problem), before, strict=True)
-        )
+        pairs = zip(_state(problem), before, strict=True)
+        return all(np.array_equal(one, other, equal_nan=True) for one, other in pairs)
     except _caught():
         return False
 
@@ -301,9 +299,8 @@ def _trace(problem: LeastSquares, metered: Metered, result: Result) -> list[list
     if metered.used_graph:
         costs = np.asarray(result.trace.get("cost", np.zeros(0)))
         parts = np.arange(1, costs.size + 1) / max(costs.size, 1)
-        return _thinned(
-            [[p * result.residual_rows, p * result.jacobian_rows, c] for p, c in zip(parts, costs, strict=True)]
-        )
+        at, steep = result.residual_rows, result.jacobian_rows
+        return _thinned([[p * at, p * steep, c] for p, c in zip(parts, costs, strict=True)])
     path = result.trace.get("filter_x", result.trace.get("x"))
     best = [list(map(float, point)) for point in metered.best]
     best += [[float(metered.residual_rows), float(metered.jacobian_rows), best[-1][2]]] if best else []

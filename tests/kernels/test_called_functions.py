@@ -6,7 +6,7 @@ import pytest
 
 from casacal import Joint, Parameter, Problem, Robot, TrackedPoint, bind, calibrate, ekf, ipopt, lm, sckf, simulate
 from casacal.errors import ProblemError
-from casacal.kernels import backend
+from casacal.kernels import native_rows
 from casacal.model.kinematics import chain, rotate_z, translate
 
 
@@ -107,7 +107,7 @@ def test_the_hessian_that_the_reference_asks_for_is_exact(written_out):
 
 def test_a_calibration_is_the_one_of_the_root_written_out_and_says_what_evaluated_it(written_out, caplog):
     problem, rows, _ = written_out
-    backend._notice.cache_clear()
+    native_rows._notice.cache_clear()
     with caplog.at_level("WARNING", logger="casacal"):
         found, wanted = calibrate(arm(_rootfinder()), rows), calibrate(problem, rows)
     assert sum("rootfinder, a table or a Callback, which CasADi evaluates" in text for text in caplog.messages) == 1

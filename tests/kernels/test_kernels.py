@@ -16,10 +16,9 @@ from test_new_robots import scara
 from casacal import DialOnPlane, Parameter, Problem, Robot, bind, calibrate, ekf, lm, load_problem, sckf, simulate
 from casacal.effects import Backlash
 from casacal.errors import ProblemError
-from casacal.kernels import backend as backends
-from casacal.kernels import libraries
-from casacal.kernels.backend import row_kernels
+from casacal.kernels import libraries, native_rows
 from casacal.kernels.losses import huber
+from casacal.kernels.native_rows import row_kernels
 from casacal.kernels.program import NUMPY, C, evaluate, name_of, read_program
 
 HAS_COMPILER = any(shutil.which(name) for name in ("gcc", "clang", "cc"))
@@ -191,7 +190,7 @@ def test_an_operation_without_a_form_in_c_keeps_a_model_on_blocks(caplog):
     p, q = ca.SX.sym("p", 2), ca.SX.sym("q")
     e = ca.erfinv(p[0] * q) + p[1]  # of data alone it would be done before
     function = ca.Function("f", [p, q], [e, ca.jacobian(e, p).T])
-    backends._notice.cache_clear()
+    native_rows._notice.cache_clear()
     with caplog.at_level(logging.WARNING, "casacal"):
         rows = row_kernels(function, "auto")
     assert rows.name == "blocks"
@@ -263,10 +262,10 @@ def fresh(tmp_path, monkeypatch):
     monkeypatch.setenv("CASACAL_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "user"))
     libraries._find_compiler.cache_clear()
-    backends._notice.cache_clear()
+    native_rows._notice.cache_clear()
     yield tmp_path / "cache"
     libraries._find_compiler.cache_clear()
-    backends._notice.cache_clear()
+    native_rows._notice.cache_clear()
 
 
 def kernels(hsr, backend=None):

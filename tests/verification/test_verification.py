@@ -30,8 +30,7 @@ from casacal import (
 )
 from casacal.calibration.result_json import geometry, rows_of, spreads
 from casacal.cli.main import main
-from casacal.data.recognised import copies, fitted_among, is_listing
-from casacal.data.repeats import MOST, listing
+from casacal.data.repeats import MOST, copies, fitted_among, is_listing, listing
 from casacal.data.samples import Layout, joined
 from casacal.deployment.arm import CalibratedArm
 from casacal.errors import SamplesError, UnknownNameError
