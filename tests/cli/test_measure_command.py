@@ -192,15 +192,16 @@ def test_what_is_left_out_stays_left_out_after_a_restart(hsr, planned, tmp_path)
     first = recording()
     first.enter("s 1")
     first.enter(f"s {checked}")
+    first.enter(f"s {len(route)}")
     first.enter(str(world.touch(2)[1]))
-    assert recording().session.skipped == {1, checked}, "left out before anything was made"
+    assert recording().session.skipped == {1, checked, len(route)}, "left out before anything was made"
     first.enter(str(world.touch(3)[1]))
     first.enter("s 1")
     again = recording()
-    assert (again.session.skipped, again.proposed.number) == ({checked}, 1)
+    assert (again.session.skipped, again.proposed.number) == ({checked, len(route)}, 1)
     assert [touch.number for touch in again.session.touches] == [2, 3]
     again.enter("u")
-    assert recording().session.skipped == {checked}
+    assert recording().session.skipped == {checked, len(route)}
     assert len(hsr.problem.read(tmp_path / "s.csv")) == 1
     with pytest.raises(CasacalError, match="another program changed"):
         first.enter("s 5")

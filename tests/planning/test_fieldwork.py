@@ -15,7 +15,7 @@ from casacal import Cell, Face, Problem, TrackedPoint, bind, load_problem, plan,
 from casacal.cli.main import main
 from casacal.errors import CasacalError
 from casacal.fit.nominal import nominal_tips
-from casacal.model.capsules import Skeleton, between, to_box
+from casacal.model.capsules import Skeleton, Solid, between, radii_of, to_box
 from casacal.model.robot import random_joints
 from casacal.planning.cell_drawing import CellDrawing
 from casacal.planning.choice import Choice
@@ -127,6 +127,40 @@ def test_a_thin_rod_does_not_slip_through_a_thin_plate(hsr):
     assert Clearance().around(robot, cell).clear(joints, tips).tolist() == [False, True]
     found = Clearance().around(robot, cell).collisions(joints, tips)
     assert [(part, other) for part, other, rows in found if rows.any()] == [("the tool", "face 'thin'")]
+
+
+def test_nothing_that_is_near_is_passed_over():
+    """Links against a box and against one another, by the distances of many points along each."""
+    robot = load_problem(ROOT / "problems" / "ur5").problem.robot
+    skeleton, rng = Skeleton.of(robot), np.random.default_rng(2)
+    joints = random_joints(robot, 150, rng)
+    places = skeleton.place(joints)
+    tips = places[:, -1] + rng.normal(size=(150, 3)) * 40
+    nodes = np.concatenate([places, tips[:, None]], axis=1)
+    box = ((250.0, 500.0), (-200.0, 150.0), (100.0, 420.0))
+    low, high = np.array(box).T
+    part = np.linspace(0, 1, 80)[:, None]
+    along = [nodes[:, k, None] + part * (nodes[:, k + 1] - nodes[:, k])[:, None] for k in range(nodes.shape[1] - 1)]
+    radii = dict(zip(["the base", *(f"link {k}" for k in range(1, 7)), "the tool"], radii_of(60.0, 8), strict=True))
+    names, hits = list(radii), 0
+    solids = [Solid.box("box", box)]
+    for name, other, rows in skeleton.collisions(joints, tips, 60.0, table=-1e4, solids=solids):
+        if other == "the table":
+            continue
+        one = along[names.index(name)]
+        if other == "box":
+            apart = np.linalg.norm(one - one.clip(low, high), axis=2).min(axis=1)
+            least = radii[name]
+            free = np.ones(150, dtype=bool)
+        else:
+            two, lengths = along[names.index(other)], np.linalg.norm(np.diff(nodes, axis=1), axis=2)
+            apart = np.linalg.norm(one[:, :, None] - two[:, None], axis=3).min(axis=(1, 2))
+            least = radii[name] + radii[other]
+            free = lengths[:, names.index(name) + 1 : names.index(other)].sum(axis=1) > 120.0
+        told = np.abs(apart - least) > 6.0  # further than the points are apart
+        assert (rows == ((apart < least) & free))[told].all(), (name, other)
+        hits += int(rows.sum())
+    assert hits > 100
 
 
 def test_a_plan_keeps_clear(hsr):
