@@ -74,4 +74,4 @@ from casacal.simulation.cell import gauge_block as gauge_block
 from casacal.simulation.cell import plate as plate
 from casacal.simulation.simulate import simulate as simulate
 from casacal.uncertainty.priors import scaled_to_accuracy as scaled_to_accuracy
-from casacal.verification.verify import verify as verify
+from casacal.verification.verification import verify as verify

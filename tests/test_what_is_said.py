@@ -13,7 +13,7 @@ from conftest import ROOT
 from casacal import CasacalError, DialOnPlane, Problem, calibrate, dial_zero, load_problem, plan
 from casacal.calibration.brief import next_step
 from casacal.calibration.saved import SavedCalibration
-from casacal.calibration.tables import direction_table
+from casacal.calibration.summary import direction_table
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.data.samples import write_samples

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from casacal.calibration.finding import Finding, freed_of_unknowns, weighted
+from casacal.calibration.finding import Finding, freed_of_unknowns
 from casacal.errors import CasacalError
 from casacal.fit.bound_problem import BoundProblem, bind, each_alone
 from casacal.fit.least_squares import Result
@@ -40,20 +40,19 @@ def not_the_same(bound: BoundProblem, result: Result) -> list[Finding]:
             continue
         scale, slopes = bound.start_std[columns], bound.jacobian(result.x)[:, columns]
         own = [np.where(owners == bound.problem.number(name), 1.0, 0.0)[:, None] * slopes * scale for name in names[1:]]
-        left, sizes, along = svd(freed_of_unknowns(bound, result, np.hstack(own)))
+        whole, ways = freed_of_unknowns(bound, result, bound.residual(result.x), np.hstack(own))
+        left, sizes, along = svd(ways)
         observable = sizes > OBSERVABLE
-        gains = left[:, observable].T @ weighted(bound, result, bound.residual(result.x))
+        gains = left[:, observable].T @ whole
         if not observable.any() or chance_beyond(float(gains @ gains), float(observable.sum())) > BY_CHANCE:
             continue
         apart = (-(along[observable].T @ (gains / sizes[observable]))).reshape(len(names) - 1, -1) * scale
         label = [name for slot in slots for name in slot.unknown.names(slot.name)]
         far = np.unravel_index(int(np.argmax(np.abs(apart / scale))), apart.shape)
         by, unit = abs(float(apart[far])), bound.units[columns[far[1]]]
-        cause = (
-            f"'{key}' is declared as the same for {listed(names)}, and is not: {label[far[1]]} of {names[1 + far[0]]} "
-            f"is "
-            f"{mm(by) if unit == 'mm' else sized(by, unit)} away from that of {names[0]}"
-        )
+        away = f"{mm(by) if unit == 'mm' else sized(by, unit)} away from that of {names[0]}"
+        cause = f"'{key}' is declared as the same for {listed(names)}, and is not: "
+        cause += f"{label[far[1]]} of {names[1 + far[0]]} is {away}"
         fix = f"Measure again with the same for all, or leave '{key}' out of `shared`: then each has its own"
         found.append(Finding("error", f"{key} not the same", cause, fix))
     return found

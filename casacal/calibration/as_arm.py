@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import casadi as ca
 
@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from casacal.deployment.arm import CalibratedArm
     from casacal.deployment.compensate import Compensation
     from casacal.deployment.predict import Prediction
+
+
+Frame: TypeAlias = Literal["flange", "tip"]
 
 
 class AsArm(ABC):
@@ -32,13 +35,7 @@ class AsArm(ABC):
         """All that result.json holds, in JSON's own types."""
 
     def predict(
-        self,
-        q: Any,
-        *,
-        frame: Literal["flange", "tip"] = "flange",
-        nominal: bool = False,
-        std: bool = False,
-        force: bool = False,
+        self, q: Any, *, frame: Frame = "flange", nominal: bool = False, std: bool = False, force: bool = False
     ) -> Prediction:
         """Where the calibrated arm is: positions (N, 3) in mm and unit quaternions (N, 4; w, x, y, z), base frame.
 
@@ -50,12 +47,7 @@ class AsArm(ABC):
         return predict(self.arm, q, frame=frame, nominal=nominal, std=std, force=force)
 
     def compensate(
-        self,
-        targets: Any,
-        *,
-        frame: Literal["flange", "tip"] = "flange",
-        largest: float | None = None,
-        force: bool = False,
+        self, targets: Any, *, frame: Frame = "flange", largest: float | None = None, force: bool = False
     ) -> Compensation:
         """Joint targets for which the calibrated arm takes the poses that the nominal one was meant to take.
 
@@ -66,7 +58,7 @@ class AsArm(ABC):
         return self._compensated(targets, frame, largest, force)
 
     def _compensated(
-        self, targets: Any, frame: Literal["flange", "tip"], largest: float | None, force: bool, form: str = "csv"
+        self, targets: Any, frame: Frame, largest: float | None, force: bool, form: str = "csv"
     ) -> Compensation:
         from casacal.deployment.compensate import LARGEST, compensate
         from casacal.deployment.programs import rounding_of
@@ -80,7 +72,7 @@ class AsArm(ABC):
         form: str,
         path: str | Path | None = None,
         *,
-        frame: Literal["flange", "tip"] = "flange",
+        frame: Frame = "flange",
         largest: float | None = None,
         force: bool = False,
     ) -> str:
@@ -135,9 +127,7 @@ class AsArm(ABC):
 
         return tip_function(self.arm, nominal=nominal, free=free, force=force)
 
-    def values(
-        self, *, frame: Literal["flange", "tip"] = "flange", nominal: bool = False, force: bool = False
-    ) -> dict[str, Array]:
+    def values(self, *, frame: Frame = "flange", nominal: bool = False, force: bool = False) -> dict[str, Array]:
         """Values of the parameters by name, mm and rad, as functions with free parameters take them.
 
         frame: "flange" for `pose_function`, "tip" for `tip_function`. nominal, force, errors: as for these.
@@ -151,7 +141,7 @@ def parameter_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     """Parameters of result.json as a frame, with the change of each."""
     import pandas as pd
 
-    names = ("name", "unit", "nominal", "estimate", "std", "known_from")
-    table = pd.DataFrame(list(rows), columns=list(names)).set_index("name")
+    names = ["name", "unit", "nominal", "estimate", "std", "known_from"]
+    table = pd.DataFrame(list(rows), columns=names).set_index("name")
     table.insert(3, "change", table["estimate"] - table["nominal"])
     return table

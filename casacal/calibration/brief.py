@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import shlex
 import textwrap
 from collections.abc import Sequence
@@ -11,23 +10,11 @@ from collections.abc import Sequence
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.motion import tip_error
 from casacal.calibration.result_json import image_words, verdict_lines
-from casacal.calibration.verdict import (
-    AS_DRAWN,
-    MEND,
-    VERIFY,
-    broken,
-    counts_back,
-    doubts,
-    earlier_contradicted,
-    held_as_drawn,
-    priors_contradicted,
-    unexplained,
-    wrong_with_samples,
-)
+from casacal.calibration.verdict import VERIFY, doubts, repair
 from casacal.deployment.result import Verdict
 from casacal.fit.methods import minimises
 from casacal.planning.cures import Cure
-from casacal.wording import figures, listed, lower, mm
+from casacal.wording import figures, listed, mm
 
 WORSE = 1.5  # expected error of the flange over that of the tip from which it is the tip that is worth correcting
 MOST_LINES = 15  # lines of the whole, files written included
@@ -42,7 +29,9 @@ def next_step(
     if tool is not None:
         return f"measure {listed(tool.names)}, state it in the problem file with its prior_std, and calibrate again."
     if verdict.level == "do not use":
-        return _repair(calibration.unjudged, check)
+        said = repair(calibration.unjudged, check)
+        cure = None if said else _best(calibration.unjudged)
+        return said or ("give every parameter a prior, or hold it with --fix." if cure is None else f"{cure.words}.")
     if verdict.level == "use with care":
         kept = "" if out is not None else "; --out DIR keeps the result and its report"
         step = next((doubt.step for doubt in doubts(calibration)[:1]), "")
@@ -50,19 +39,15 @@ def next_step(
         return f"{step or (VERIFY if checked else f'run {check}, which looks closer at the samples')}{kept}."
     if out is None:
         return "add --out DIR to keep the result and its report; casacal compensate, predict and export read it."
-    tip = (
-        ""
-        if calibration.flange_std[1] <= WORSE * calibration.tip_std[1]
-        else " (--frame tip if this tip does the work)"
-    )
+    at_tip = not calibration.flange_std[1] <= WORSE * calibration.tip_std[1]
+    tip = " (--frame tip if this tip does the work)" if at_tip else ""
     where = f"{shlex.quote(f'{out}/result.json')} TARGETS --out FILE{tip}"
     return f"verify with fresh touches, then correct joint targets with casacal compensate {where}."
 
 
 def best_cure(calibration: Calibration) -> str:
     """The best cure and its figure, as a sentence; empty where none gains much. Not for who must not use the result."""
-    cure = _best(calibration)
-    if cure is None:
+    if (cure := _best(calibration)) is None:
         return ""
     return f"{cure.words}; expected tip error {fall(calibration.tip_std[1], cure.expected_rms_mm)}."
 
@@ -87,36 +72,6 @@ def _best(calibration: Calibration) -> Cure | None:
     return next(worth, None)
 
 
-def _repair(calibration: Calibration, check: str) -> str:
-    if counts_back(calibration):
-        return "reverse the sign of the dial in the problem (--set sign=-1 or sign=1 tries it), and calibrate again."
-    if broken(calibration):
-        return f"{MEND}."
-    reference, wrong = calibration.reference, wrong_with_samples(calibration)
-    if held_as_drawn(calibration):
-        return "free it, or state in the problem where it is, and calibrate again."
-    if calibration.earlier is not None and earlier_contradicted(calibration):
-        rows = f"casacal changed {calibration.earlier.file} {calibration.samples.file}"
-        return f"run {rows}, which says what has changed; then name that with --loosen."
-    if wrong:
-        for name in re.findall(r"--set (\S+?)=", wrong[0].fix):  # what is to be set otherwise is not set so again
-            check = re.sub(rf" --set {re.escape(name)}=\S+", "", check)
-        return f"{lower(wrong[0].fix)}; then run {check}."
-    if not calibration.result.converged:
-        return f"run {check}, which looks closer at the samples; or try another way to the minimum, --method lm."
-    if reference is not None and not reference.agrees:
-        if minimises(calibration.method):
-            return f"run {check}; then compare the costs of --method lm and --method ipopt, and keep the lower one."
-        return "use --method lm or sckf-lm, which go to the minimum."
-    if (clause := priors_contradicted(calibration)) and not unexplained(calibration):
-        look = "look whether these readings were measured; then " if clause.startswith(AS_DRAWN) else ""
-        return f"{look}state priors that fit the arm (--accuracy MM, --prior NAME=STD), and calibrate again."
-    if math.isfinite(calibration.tip_std[1]):
-        return f"run {check}, which looks closer at the samples."
-    cure = _best(calibration)
-    return f"{cure.words}." if cure is not None else "give every parameter a prior, or hold it with --fix."
-
-
 def brief(
     calibration: Calibration,
     verdict: Verdict,
@@ -133,10 +88,18 @@ def brief(
     """
     calibration = calibration.unjudged
     denied = verdict.level == "do not use"
-    head = [_subject(calibration), *verdict_lines(calibration, verdict)]
+    held, rows, checked = calibration.heldout, f"{len(calibration.samples)} samples", ""
+    if held is not None:
+        rows += f", {len(held.measured)} of them held out{together(calibration)}"
+    if (found := calibration.reference) is not None:
+        lower_cost = not minimises(calibration.method) and found.gap > 0
+        apart = f"finds a cost lower by {found.gap:.2g}" if lower_cost else "DIFFERS"
+        checked = f"; {found.solver} {'agrees' if found.agrees else apart}"
+    rows += "" if calibration.earlier is None else f" and {calibration.earlier.file}"
+    subject = f"{calibration.fit.problem.robot.name}: {calibration.method} from {rows}{checked}"
+    head = [subject, *verdict_lines(calibration, verdict)]
     tail = [] if denied else [*expected, _residual(calibration)]
-    stated = verdict.words.lower()
-    others = [reason for reason in verdict.reasons if reason.lower() not in stated]
+    others = [reason for reason in verdict.reasons if reason.lower() not in verdict.words.lower()]
     others += image_words(calibration, verdict)
     above = _wrapped(head, width)
     cure = "" if denied else best_cure(calibration)
@@ -155,21 +118,6 @@ def brief(
     return "\n".join([*above, *reasons, *below, *more]) + "\n"
 
 
-def _subject(calibration: Calibration) -> str:
-    held = calibration.heldout
-    rows = f"{len(calibration.samples)} samples"
-    if held is not None:
-        rows += f", {len(held.measured)} of them held out{together(calibration)}"
-    checked = ""
-    if calibration.reference is not None:
-        found = calibration.reference
-        lower = not minimises(calibration.method) and found.gap > 0
-        apart = f"finds a cost lower by {found.gap:.2g}" if lower else "DIFFERS"
-        checked = f"; {found.solver} {'agrees' if found.agrees else apart}"
-    known = "" if calibration.earlier is None else f" and {calibration.earlier.file}"
-    return f"{calibration.fit.problem.robot.name}: {calibration.method} from {rows}{known}{checked}"
-
-
 def together(calibration: Calibration) -> str:
     """How rows were held out, where not one by one."""
     return "" if calibration.heldout_by == "rows" else f" by {calibration.heldout_by}"
@@ -180,13 +128,10 @@ def _residual(calibration: Calibration) -> str:
     before, after = (calibration.metrics[when][part] for when in ("before", "after"))
     assert before is not None
     assert after is not None
-    said = calibration.fit.problem.words
-    held = "" if part == "fit" else "held-out "
+    said, held = calibration.fit.problem.words, "" if part == "fit" else "held-out "
     known = "as drawn" if calibration.earlier is None else "by the earlier result"
-    return (
-        f"Residual on the {held}{said.things}, not accuracy: {figures(after['rmse_mm'])} {said.unit} RMS ({known}: "
-        f"{figures(before['rmse_mm'])})."
-    )
+    now, then = (figures(each["rmse_mm"]) for each in (after, before))
+    return f"Residual on the {held}{said.things}, not accuracy: {now} {said.unit} RMS ({known}: {then})."
 
 
 def _reasons(reasons: Sequence[str], width: int, room: int) -> list[str]:
@@ -206,13 +151,8 @@ def _reasons(reasons: Sequence[str], width: int, room: int) -> list[str]:
 
 
 def _wrapped(sentences: Sequence[str], width: int) -> list[str]:
-    return [
-        line
-        for sentence in sentences
-        for line in textwrap.wrap(
-            sentence, width, subsequent_indent="  ", break_on_hyphens=False, break_long_words=False
-        )
-    ]
+    wrapper = textwrap.TextWrapper(width, subsequent_indent="  ", break_on_hyphens=False, break_long_words=False)
+    return [line for sentence in sentences for line in wrapper.wrap(sentence)]
 
 
 def corrected_words(calibration: Calibration) -> list[str]:

@@ -166,9 +166,8 @@ def calibration_of(
     began, solver = time.perf_counter(), _reference(reference)
     result = estimate(lambda _: x, method, bound, 0, None, None)
     checked = _check(bound, method, result, solver) if solver else None
-    tried, source, sets = tried_corrections(bound, result), problem_from(bound.problem), bound.measured.sets
+    tried, source, rows = tried_corrections(bound, result), problem_from(bound.problem), bound.measured.plain
     seconds = {"build": 0.0, "solve": 0.0, "total": time.perf_counter() - began}
-    rows = sets[0] if len(sets) == 1 else bound.measured
     return Calibrated(method, 0, rows, bound, None, result, plane_only(bound), checked, seconds, source, tried=tried)
 
 
@@ -245,11 +244,7 @@ def _check_words(noise: str, outliers: str, discrepancy: str) -> None:
 def _bound(
     problem: Problem, rows: Measurements, aside: bool, backend: str | None, threads: int | None
 ) -> tuple[BoundProblem, tuple[Finding, ...]]:
-    """Rows under the geometry alone, and what is wrong with those that were set aside, where that is wanted.
-
-    Raises SamplesError for too few rows, ProblemError where a fit wanders along directions that neither rows nor priors
-    hold, as every fit would.
-    """
+    """Rows under the geometry alone, and what is wrong with those set aside; errors for few rows, or no end of fits."""
     try:
         bare = bind(problem.without_terms, *rows.sets, backend=backend, threads=threads)
     except CasacalError as error:
@@ -267,8 +262,7 @@ def _bound(
         sizes, right = right_directions(np.vstack([bare.compact_jacobian(bare.x0), bare.prior_rows]) * bare.start_std)
         lost = right[sizes <= UNSEEN * sizes[0]]
         _, kept, order = qr(lost[:, list(flat)], pivoting=True)  # one name a direction: holding these is enough
-        names = [list(flat.values())[k] for k in order[: int((np.abs(np.diagonal(kept)) > UNSEEN).sum())]]
-        if names:
+        if names := [list(flat.values())[k] for k in order[: int((np.abs(np.diagonal(kept)) > UNSEEN).sum())]]:
             many = counted(len(names), "combination")
             what = f"Neither the samples nor a prior hold {many} of parameters, so no fit ends"
             raise ProblemError(what, f"Give a prior to {listed(names)} (--prior {names[0]}=STD), or hold them (--fix)")

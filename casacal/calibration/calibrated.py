@@ -13,7 +13,7 @@ import numpy as np
 
 from casacal.calibration.as_arm import AsArm, parameter_table
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.motion import Motion
+from casacal.calibration.motion import Motion, Sensitivity
 from casacal.calibration.result_json import calibration_document, found_part, parameter_rows
 from casacal.calibration.verdict import WithVerdict
 from casacal.effects.selection import DialError, LeftOut
@@ -30,12 +30,9 @@ from casacal.wording import figures
 if TYPE_CHECKING:
     import pandas as pd
 
-    from casacal.calibration.sensitivity import Sensitivity
     from casacal.deployment.arm import CalibratedArm
 
-
-FILES = ("report.html", "result.json", "parameters.csv", "residuals.png", "convergence.png")
-"""Files that a calibration writes, most read first; result.json is placed last: where it stands, all stand."""
+FILES = "report.html", "result.json", "parameters.csv", "residuals.png", "convergence.png"  # most read first
 FILTER_POINTS = 60  # rows at which a filter's objective is drawn
 FLOOR = 1e-9  # added so that the lowest value itself can stand on a logarithmic axis; below rounding
 NAMED = 24  # faces named under a picture; of more, some are
@@ -203,10 +200,16 @@ class Calibrated(WithVerdict, AsArm):
 
         folder = Path(folder)
         document = calibration_document(self, folder=folder)
-        with together(folder, [*(name for name in FILES if name != "result.json"), "result.json"]) as place:
+        # result.json is placed last: where it stands, all stand
+        with together(folder, sorted(FILES, key=lambda name: name == "result.json")) as place:
             write_text(place / "report.html", report_page(self, document, command=command, box=box))
             write_json(place / "result.json", document)
-            write_text(place / "parameters.csv", self._parameters_csv())
+            table = self.parameters.reset_index()
+            for name, digits in {"nominal": 12, "estimate": 12, "change": 6, "std": 6}.items():
+                table[name] = ["" if math.isnan(value) else f"{value:.{digits}g}" for value in table[name]]
+            said = "" if self.verdict.level == "calibrated" else f". {self.verdict.words}"
+            csv = table.to_csv(index=False, lineterminator="\n")
+            write_text(place / "parameters.csv", f"# {MADE}{said}\n{csv}")
             for name, size, draw in (
                 ("residuals", (10.0, 4.0), self.plot_residuals),
                 ("convergence", (6.0, 4.0), self.plot_convergence),
@@ -219,14 +222,6 @@ class Calibrated(WithVerdict, AsArm):
                 place_whole(place / f"{name}.png", write)
             made = [name for name in FILES if (place / name).exists()]
         return [folder / name for name in made]
-
-    def _parameters_csv(self) -> str:
-        """Parameters as CSV, below who wrote it and a verdict that is not simply calibrated."""
-        said = "" if self.verdict.level == "calibrated" else f". {self.verdict.words}"
-        table = self.parameters.reset_index()
-        for name, form in (("nominal", "{:.12g}"), ("estimate", "{:.12g}"), ("change", "{:.6g}"), ("std", "{:.6g}")):
-            table[name] = ["" if math.isnan(value) else form.format(value) for value in table[name]]
-        return f"# {MADE}{said}\n{table.to_csv(index=False, lineterminator=chr(10))}"
 
     def report(self, path: str | Path, *, box: Box | None = None) -> Path:
         """Write the report, one page of HTML; `box` is where the arm will work, ranges in mm.
@@ -259,16 +254,15 @@ class Calibrated(WithVerdict, AsArm):
         if self.heldout is not None:
             parts.append((" (held out)", self.heldout, self.heldout_x, HELD))
         for suffix, bound, pair, colour in parts:
-            faces = bound.faces
             before, after = (bound.plain_residual(x) for x in pair)
             order, places = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
-            for label, rows in faces.rows().items():
+            for label, rows in bound.faces.rows().items():
                 own = bound.residuals_of(rows)
-                count = own.size
                 order.append(own)
-                places.append(offset + np.arange(count))
-                ticks.append((offset + count / 2, f"{_short(label)}{suffix}"))
-                offset += count + 4
+                places.append(offset + np.arange(own.size))
+                short = label if len(label) <= LONGEST else f"{label[: LONGEST - 1]}…"  # leaves room for the picture
+                ticks.append((offset + own.size / 2, short.replace("$", r"\$") + suffix))  # $ would begin a formula
+                offset += own.size + 4
                 ends.append(offset - 2.5)
             here, rows = np.concatenate(places), np.concatenate(order)
             axes.plot(here, before[rows], "o", ms=3, mfc="none", mec=BEFORE, zorder=1)
@@ -277,9 +271,7 @@ class Calibrated(WithVerdict, AsArm):
             axes.vlines(ends, 0, 1, colors="0.9", linewidth=0.8, zorder=0, transform=axes.get_xaxis_transform())
         axes.axhline(0, color="0.5", lw=0.8, zorder=0)
         ticks = [ticks[k] for k in np.unique(np.linspace(0, len(ticks) - 1, NAMED).astype(int))]
-        axes.set_xticks(
-            [place for place, _ in ticks], [label for _, label in ticks], rotation=20, ha="right", fontsize=8
-        )
+        axes.set_xticks(*map(list, zip(*ticks, strict=True)), rotation=20, ha="right", fontsize=8)
         said = self.fit.problem.words
         axes.set_ylabel(f"{said.residual}, {said.unit}")
         axes.plot([], [], "o", ms=4, mfc="none", mec=BEFORE, label=f"before: {said.before}")
@@ -298,8 +290,7 @@ class Calibrated(WithVerdict, AsArm):
         axes = _axes(ax, (6.0, 4.0))
         trace, problem = self.result.trace, self.fit
         curves: list[tuple[Any, Any, str, str]] = []
-        path = trace.get("filter_x", trace.get("x"))
-        if path is not None:
+        if (path := trace.get("filter_x", trace.get("x"))) is not None:
             rows = np.unique(np.linspace(0, len(path) - 1, FILTER_POINTS).astype(int))
             costs = np.array([problem.cost(path[row]) for row in rows])
             curves.append((rows / max(len(path) - 1, 1) - 1, costs, "-", "filter, one pass over the rows"))
@@ -349,11 +340,6 @@ class Calibrated(WithVerdict, AsArm):
     def _repr_html_(self) -> str:
         table = self.parameters.to_html(float_format=lambda value: f"{value:.5g}")
         return f"<p>{html.escape(repr(self).strip('<>'))}. {html.escape(self.message)}</p>{table}"
-
-
-def _short(label: str) -> str:
-    """Label that leaves room for the picture, and of which Matplotlib makes no formula."""
-    return (label if len(label) <= LONGEST else f"{label[: LONGEST - 1]}…").replace("$", r"\$")
 
 
 def _axes(ax: Any, size: tuple[float, float]) -> Any:

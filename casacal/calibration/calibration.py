@@ -14,20 +14,12 @@ from casacal.calibration.before_fit import outside, rounded, sign_before_fit
 from casacal.calibration.finding import Finding
 from casacal.calibration.inputs import Reference
 from casacal.calibration.mirror import either_way, mirror_image
-from casacal.calibration.motion import Motion, Tried, among, sees_the_tip, used_arm
+from casacal.calibration.motion import Motion, Sensitivity, Tried, among, sees_the_tip, sensitivity, used_arm
 from casacal.calibration.numbers import borne_out, priors_of, tool_elsewhere_at, wrong_number, wrong_scale
 from casacal.data.repeats import without_copies
 from casacal.data.samples import Measurements, Samples
 from casacal.deployment.result import MirrorImage
-from casacal.effects.selection import (
-    DialError,
-    EffectSize,
-    LeftOut,
-    dial_errors,
-    effect_sizes_of,
-    errors_are_shared,
-    leave_one_face_out,
-)
+from casacal.effects import selection
 from casacal.effects.trusted import Leverage, TrustedConstants, beyond, leverages, with_constants
 from casacal.errors import CasacalError
 from casacal.fit.arm_alone import ArmAlone, ArmProblem, arm_alone, extended
@@ -37,39 +29,22 @@ from casacal.fit.lm import lm
 from casacal.fit.methods import minimises
 from casacal.model.problem_file import ProblemFile
 from casacal.planning.cures import Cure, cure_for, cures
+from casacal.uncertainty import tip_error
 from casacal.uncertainty.figures import HALF_WEIGHT, residual_figures
-from casacal.uncertainty.identifiability import (
-    Identifiability,
-    NullDirection,
-    WeakDirection,
-    identifiability,
-    known_from,
-)
+from casacal.uncertainty.identifiability import Identifiability, identifiability, known_from
 from casacal.uncertainty.moves import PriorMoves, prior_moves
 from casacal.uncertainty.noise import Noise, noise_over_stated
-from casacal.uncertainty.tip_error import (
-    classical_accuracy,
-    expected_accuracy,
-    tip_rms,
-    tip_stds,
-    tool_unknowns,
-    without_rigid,
-    workspace_joints,
-)
 from casacal.values import Array, FrozenMapping, Value
 from casacal.wording import listed
 
 if TYPE_CHECKING:
     from casacal.calibration.earlier import EarlierResult
-    from casacal.calibration.sensitivity import Sensitivity
 
 HARMLESS = 0.01  # tip motion (mm under the prior) below which an unseen direction needs no cure
 FAR = 4.0  # prior standard deviations beyond which a parameter has moved too far: one clean arm in several hundred does
 LACK_OF_FIT = 2.0  # found over stated noise beyond which something systematic is wrong, as `check` judges it
 PART = 0.5  # tip error with a tool that is exactly known over that as it is, below which the tool decides most of it
-
 NOT_NEEDED = "none needed"
-
 Figures: TypeAlias = dict[str, float]
 Metrics: TypeAlias = dict[str, dict[str, Figures | None]]
 """Keys "before" and "after", then "fit" and "heldout"; None where no row is held out."""
@@ -256,9 +231,9 @@ class Calibration(Value):
         return self.earlier.chance_of(self.result if arrived else lm(self.fit, start=self.result.x))
 
     @cached_property
-    def left_out(self) -> tuple[LeftOut, ...]:
+    def left_out(self) -> tuple[selection.LeftOut, ...]:
         """Each fitted face as the others predict it; a fit for each, and so only when it is asked for."""
-        return leave_one_face_out(self.fit, self.result)
+        return selection.leave_one_face_out(self.fit, self.result)
 
     @cached_property
     def metrics(self) -> Metrics:
@@ -273,17 +248,14 @@ class Calibration(Value):
     def _metrics(self, part: str | None) -> Metrics:
         """Residual figures in the instrument's unit, or of one of `parts_of` in its own unit."""
 
-        def figures(bound: BoundProblem, x: Array) -> Figures | None:
-            rows = bound.leading if part is None else bound.noise_labels.rows().get(part, np.zeros(0, dtype=np.intp))
-            return residual_figures(bound.plain_residual(x)[rows]) if part is None or rows.size else None
+        def figures(bound: BoundProblem | None, x: Array) -> Figures | None:
+            if bound is None or part is None:
+                return None if bound is None else residual_figures(bound.plain_residual(x)[bound.leading])
+            rows = bound.noise_labels.rows().get(part, np.zeros(0, dtype=np.intp))
+            return residual_figures(bound.plain_residual(x)[rows]) if rows.size else None
 
-        return {
-            when: {
-                "fit": figures(self.fit, x),
-                "heldout": None if self.heldout is None else figures(self.heldout, held),
-            }
-            for when, x, held in zip(("before", "after"), (self.before.x, self.used_x), self.heldout_x, strict=True)
-        }
+        pairs = zip(("before", "after"), (self.before.x, self.used_x), self.heldout_x, strict=True)
+        return {when: {"fit": figures(self.fit, x), "heldout": figures(self.heldout, held)} for when, x, held in pairs}
 
     @cached_property
     def down_weighted(self) -> tuple[int | str, ...]:
@@ -340,9 +312,8 @@ class Calibration(Value):
         errors = self.data_errors if self.suspicious else self.plain_errors
         named = {error.about.removesuffix(" elsewhere") for error in errors}
         named.add(self.fit.names[int(np.argmax(self.moves))])
-        return frozenset(
-            name for name, *_ in priors_of(self.bare.problem) if name in named and borne_out(self.bare, name)
-        )
+        ours = (name for name, *_ in priors_of(self.bare.problem) if name in named)
+        return frozenset(name for name in ours if borne_out(self.bare, name))
 
     @property
     def unjudged(self) -> Calibration:
@@ -377,7 +348,7 @@ class Calibration(Value):
     @cached_property
     def workspace(self) -> tuple[Array, Array, Array]:
         """Joint values, tips and tip Jacobian at the estimate over fixed workspace poses that no sample visited."""
-        joints = workspace_joints(self.fit.problem.robot)
+        joints = tip_error.workspace_joints(self.fit.problem.robot)
         arm, x = self.motion.arm, self.motion.x
         return joints, arm.tips(x, joints), arm.tip_jacobian(x, joints)
 
@@ -401,9 +372,9 @@ class Calibration(Value):
         return before, now if minimises(self.method) and not self.tool_findings else math.nan
 
     def _expected(self, *, flange: bool = False) -> tuple[float, float]:
-        motion, robust = self.motion, self.result.loss is not None
-        covariance = motion.covariance if robust else None
-        return expected_accuracy(motion.arm, motion.x, motion.off, flange=flange, covariance=covariance)
+        motion = self.motion
+        covariance = None if self.result.loss is None else motion.covariance
+        return tip_error.expected_accuracy(motion.arm, motion.x, motion.off, flange=flange, covariance=covariance)
 
     @cached_property
     def hidden_tool(self) -> HiddenTool | None:
@@ -413,15 +384,14 @@ class Calibration(Value):
         motion, (_, tips, slopes) = self.motion, self.workspace
         arm, covariance = motion.arm, motion.covariance
         stds = np.sqrt(np.diagonal(covariance))
-        tool = [j for j in tool_unknowns(arm, motion.x) if arm.units[j] == "mm" and math.isfinite(stds[j])]
+        tool = [j for j in tip_error.tool_unknowns(arm, motion.x) if arm.units[j] == "mm" and math.isfinite(stds[j])]
         hidden = [j for j in tool if known_from(stds[j], float(arm.prior_std[j])) != "samples"]
         if not hidden:
             return None
         held = np.where(np.isfinite(covariance), covariance, 0.0)  # what is lost does not move the tip
         with_tool = held[tool]
         known = held - with_tool.T @ np.linalg.solve(with_tool[:, tool], with_tool)
-        field = without_rigid(slopes, tips)
-        now, tip = (tip_rms(tip_stds(each, field, motion.off).ravel()) for each in (covariance, known))
+        now, tip = (tip_error.spread_rms(each, slopes, tips, motion.off) for each in (covariance, known))
         names, std = tuple(arm.names[j] for j in hidden), float(stds[hidden].max())
         return HiddenTool(names, std, tip) if tip < PART * now else None
 
@@ -436,12 +406,12 @@ class Calibration(Value):
             least = lm(self.fit, loss=self.result.loss)
         arm = self.motion.arm
         x = Motion.of(self.fit, least, used_arm(self.fit, least, self.corrected)).x
-        return tip_rms(without_rigid((tips - arm.tips(x, joints)).ravel(), tips))
+        return tip_error.tip_rms(tip_error.without_rigid((tips - arm.tips(x, joints)).ravel(), tips))
 
     @cached_property
     def tip_std_without_prior(self) -> tuple[float, int]:
         """Tip error from the samples without priors, mm RMS, and how many directions they miss (then infinite)."""
-        return classical_accuracy(self.seen, self.seen_x)
+        return tip_error.classical_accuracy(self.seen, self.seen_x)
 
     @cached_property
     def identifiability(self) -> Identifiability:
@@ -452,7 +422,7 @@ class Calibration(Value):
         parallel or a plate that is level, an estimate hides but for its own corrections, so that at a tolerance of
         1e-9 rounding would decide it, and no two runs could be compared. `structural` says what stays hidden.
         """
-        joints, (drawn, x0) = workspace_joints(self.fit.problem.robot), arm_alone(self.bare, self.bare.x0)
+        joints, (drawn, x0) = tip_error.workspace_joints(self.fit.problem.robot), arm_alone(self.bare, self.bare.x0)
         slopes, tips = drawn.tip_jacobian(x0, joints), drawn.tips(x0, joints)
         return identifiability(drawn, slopes, tips, active=self.result.active)
 
@@ -467,14 +437,13 @@ class Calibration(Value):
         rows = self.doubted.with_noise(self.fit.scale)  # a step tells a dial's gain, too
         at = dict(zip(self.fit.names, self.result.x, strict=True))
         x = np.array([at[name] for name in rows.names])
-        stays = self.tip_std[1] ** 2 - expected_accuracy(rows, x)[1] ** 2
+        stays = self.tip_std[1] ** 2 - tip_error.expected_accuracy(rows, x)[1] ** 2
         return cures(rows, x, stays=max(stays, 0.0) if math.isfinite(stays) else 0.0)
 
     @cached_property
     def advice(self) -> tuple[str, ...]:
         """Cure of each null, then each weak direction, in the words of `cures`; none needed if it moves no tip."""
-        found = self.unjudged.identifiability
-        directions: tuple[NullDirection | WeakDirection, ...] = (*found.null, *found.weak)
+        directions = self.unjudged.identifiability.directions
         if all(direction.tip_mm < HARMLESS for direction in directions):
             return (NOT_NEEDED,) * len(directions)
         # the information of single touches about the geometry, with the noise of the fit with effects
@@ -489,22 +458,20 @@ class Calibration(Value):
     @cached_property
     def sensitivity(self) -> Sensitivity:
         """How estimate and tip follow every reading and prior; raises CasacalError where it is no minimum."""
-        from casacal.calibration.sensitivity import sensitivity
-
         (_, tips, slopes), arm = self.workspace, self.motion.arm
         field = np.zeros((tips.size, self.fit.unknowns))
-        field[:, arm.free if isinstance(arm, ArmAlone) else slice(None)] = without_rigid(slopes, tips)
+        field[:, arm.free if isinstance(arm, ArmAlone) else slice(None)] = tip_error.without_rigid(slopes, tips)
         return sensitivity(self.fit, self.result, field)
 
     @cached_property
-    def effect_sizes(self) -> tuple[EffectSize, ...]:
+    def effect_sizes(self) -> tuple[selection.EffectSize, ...]:
         """Estimated sizes of non-geometric effects, likeliest first; empty where effects were left out."""
-        return effect_sizes_of(self.fit, self.result.x)
+        return selection.effect_sizes_of(self.fit, self.result.x)
 
     @cached_property
-    def dial_errors(self) -> tuple[DialError, ...]:
+    def dial_errors(self) -> tuple[selection.DialError, ...]:
         """Whether the rows show an error of the dial that nobody declared; none where effects were not asked for."""
-        return dial_errors(self.fit, self.result.x) if any(self.fit.beside) else ()
+        return selection.dial_errors(self.fit, self.result.x) if any(self.fit.beside) else ()
 
     @cached_property
     def leverages(self) -> tuple[Leverage, ...]:
@@ -538,7 +505,7 @@ class Calibration(Value):
         """
         moved, effects = _moves(self.result), np.array(self.fit.beside, dtype=bool)
         moved[effects] = 0.0
-        if effects.any() and self.plain.converged and not errors_are_shared(self.fit):
+        if effects.any() and self.plain.converged and not selection.errors_are_shared(self.fit):
             moved[~effects] = np.fmax(moved[~effects], _moves(self.plain)[: int((~effects).sum())])
         return moved
 

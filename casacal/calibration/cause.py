@@ -1,8 +1,10 @@
 """The cause of a misfit: each suspected fault is undone, alone or with another; the simplest that explains it counts.
 
 A fit of every fault takes seconds, and where a joint is counted the wrong way it ends anywhere. How far rows lie from
-the arm as drawn, before any fit, tells most of them apart: by tenths of a millimetre where the fault is undone, by
-hundreds of millimetres where it is not. So only what brings rows near the drawn arm is fitted, where anything does.
+the arm as drawn tells most faults apart before any fit: by tenths of a millimetre where the fault is undone, by
+hundreds where it is not. So only what brings rows near the drawn arm is fitted, where anything does.
+
+What fits up to some line alone, as with labels exchanged from there on, no mistake made in all rows explains.
 """
 
 from __future__ import annotations
@@ -16,26 +18,18 @@ import numpy as np
 
 from casacal.calibration.before_fit import OUT_OF_LIMITS, OUTSIDE, WRONG_SIGN, outside
 from casacal.calibration.conventions import patterns
-from casacal.calibration.faults import (
-    ALIKE,
-    EXPLAINED,
-    MOST_PAIRED,
-    SUSPICIOUS,
-    OfRows,
-    hanging,
-    pairings,
-    some_radians,
-    suspected,
-)
-from casacal.calibration.finding import FIRST_STEPS, KEPT, Fault, Finding, Undone, misfit
+from casacal.calibration.faults import MOST_PAIRED, OfRows, exchanged_labels, hanging, pairings, some_radians, suspected
+from casacal.calibration.finding import ALIKE, EXPLAINED, SUSPICIOUS, Fault, Finding, Undone, kept_square, misfit
 from casacal.calibration.numbers import TOOL, alike_numbers, tool_keys
 from casacal.calibration.set_aside import robust_fit, studentised_outliers
-from casacal.data.samples import Samples
+from casacal.data.samples import Samples, joined
 from casacal.errors import CasacalError, ProblemError
 from casacal.fit.bound_problem import BoundProblem, bind
+from casacal.fit.lm import lm
 from casacal.fit.nominal import nominal_sight, proposed_by, row_columns
 from casacal.fit.slots import instances, nominals, proposed
 from casacal.model.problem import Problem
+from casacal.uncertainty.figures import effective_unknowns
 from casacal.uncertainty.moves import prior_scatter
 from casacal.values import Array, Rows
 from casacal.wording import times
@@ -49,6 +43,13 @@ NEAR, FAR = 3.0, 10.0  # times the scatter of arms as drawn that rows may have: 
 OF_BASE = 0.2  # part of the scatter of the rows as they are, up to which a pair of faults is fitted however it scatters
 PAIRED = 3  # single faults, beside the usual ones, that are tried together with others
 RIVALS = 3  # faults that would explain it equally well and are named
+SOMETHING = "something changed"
+FEWEST = 20  # rows that must fit by themselves; fewer fit to anything
+FEW_LEFT = 5  # rows beyond the line; fewer are single rows
+UNEXPECTED = 25.0  # chi-square of a row that those before it do not expect: five standard deviations
+LEFT_OVER = 5.0  # rows beyond what their fit needs that the good ones must have
+FAR_OFF = 5.0  # standard deviations by which most of the others must lie off
+TRIMMED = 0.85  # part of the rows that a robust fit takes for good which surely are: it bears a tenth of others
 
 
 @dataclass(frozen=True)
@@ -82,14 +83,13 @@ def explained(
     problem: with one instrument. samples: its rows, some hundred. base: their misfit as they are. gross: whether it is
     so large that two mistakes at once are looked for. whole: all rows in their order, where samples are some of them.
     """
-    impossible = any(
-        each.severity == "error" and each.about in (OUTSIDE, OUT_OF_LIMITS) for each in outside(problem, samples)
-    )
+    beyond = {each.about for each in outside(problem, samples) if each.severity == "error"}
+    impossible = not beyond.isdisjoint((OUTSIDE, OUT_OF_LIMITS))
     nothing = _Attempt((), Undone(problem, samples), base, math.inf if impossible else base)
     whole = samples if whole is None or len(whole) > MOST_PAIRED else whole
     faults = [*chain(suspected(problem, samples), pairings(whole), some_radians(problem, whole))]
     drawn = bind(problem, samples)
-    usual, off = prior_scatter(drawn, flat_counts=True).rms, _trimmed(drawn.plain_residual(drawn.x0))
+    usual, off = prior_scatter(drawn, flat_counts=True).rms, math.sqrt(kept_square(drawn.plain_residual(drawn.x0)))
     near, most = NEAR * usual, max(FAR * usual, OF_BASE * off)
     at_once = [fault for fault in faults if isinstance(fault.undo, OfRows)]
     tried = _looked_at_closely(plain := _singles(at_once, nothing, near, most))
@@ -128,7 +128,7 @@ def cause_of_rows(problem: Problem, samples: Samples, off: Rows) -> Finding | No
     signs = (fault for fault in suspected(problem, samples) if fault.about == WRONG_SIGN)
     rows = chain(some_radians(problem, samples), hanging(samples), signs) if off.any() else ()
     for fault in chain(pairings(samples) if tail else (), rows):
-        for tried in _one(fault, nothing):
+        for tried in map(_fitted, _undone(fault, nothing)):
             fitted = robust_fit(bind(problem, tried.undone.samples))
             if tried.size <= SUSPICIOUS and (fitted is None or not studentised_outliers(*fitted).rows):
                 cause = f"{fault.cause}{tried.undone.found}: with that undone, no row lies off any more"
@@ -142,32 +142,23 @@ def _undone(fault: Fault, before: _Attempt) -> Iterator[_Attempt]:
         undone = fault.undo(before.undone.problem, before.undone.samples)
     except CasacalError:  # such as a tool of an instrument that holds it
         return
-    shrunk = before.shrunk * _shrunk(before.undone.samples, undone.samples)
+    old, new = before.undone.samples.columns, undone.samples.columns
+    stds = ((float(np.std(values)), float(np.std(new[name]))) for name, values in old.items())
+    shrunk = before.shrunk * min((after / was for was, after in stds if 0 < after < was), default=1.0)
     undone = replace(undone, found=before.undone.found + undone.found)
     yield _Attempt((*before.faults, fault), undone, math.inf, before.base, shrunk)
-
-
-def _shrunk(before: Samples, after: Samples) -> float:
-    """The least part, one at most, that readings of a column have of the scatter that they had before a change."""
-    stds = ((float(np.std(values)), float(np.std(after.columns[name]))) for name, values in before.columns.items())
-    return min((new / old for old, new in stds if 0 < new < old), default=1.0)
 
 
 def _fitted(trial: _Attempt) -> _Attempt:
     """An attempt with the misfit of a first look."""
     undone = trial.undone
-    return replace(trial, size=misfit(undone.problem, undone.samples, steps=FIRST_STEPS, start=undone.start))
-
-
-def _one(fault: Fault, before: _Attempt) -> Iterator[_Attempt]:
-    """The attempt with one more fault undone; nothing where it cannot be undone."""
-    yield from map(_fitted, _undone(fault, before))
+    return replace(trial, size=misfit(undone.problem, undone.samples, first=True, start=undone.start))
 
 
 def _of_makers(nothing: _Attempt) -> list[_Attempt]:
     """Joint conventions of makers, each fitted to the end."""
     faults = patterns(nothing.undone.problem, nothing.undone.samples)
-    return [_to_the_end(each) for fault in faults for each in _one(fault, nothing)]
+    return [_to_the_end(each) for fault in faults for each in map(_fitted, _undone(fault, nothing))]
 
 
 def _singles(faults: Sequence[Fault], nothing: _Attempt, near: float, most: float) -> list[_Attempt]:
@@ -199,7 +190,7 @@ def _off_the_drawing(trials: Sequence[_Attempt], before: _Attempt) -> list[float
         if not alike or any(rows.labels[name] is not labels for name, labels in samples.labels.items()):
             return math.nan
         try:
-            return _trimmed(residuals_as_drawn(bound, rows))
+            return math.sqrt(kept_square(residuals_as_drawn(bound, rows)))
         except CasacalError:
             return math.nan
 
@@ -216,8 +207,7 @@ def residuals_as_drawn(bound: BoundProblem, samples: Samples) -> Array:
     sight, slots = nominal_sight(problem, 0, samples), {slot.name: slot for slot in bound.slots}
     for key, unknown in instrument.unknowns.items():
         for label, rows in instances(instrument, key, unknown, samples) if unknown.nominal is None else ():
-            nominal = proposed(instrument, key, unknown, sight.of(rows))
-            if nominal is None:
+            if (nominal := proposed(instrument, key, unknown, sight.of(rows))) is None:
                 raise ProblemError(f"'{key}' has no nominal value", "Give it one")
             name = key if label is None else f"{key}.{label}"
             slots[name] = replace(slots[name], nominal=nominal)
@@ -227,12 +217,6 @@ def residuals_as_drawn(bound: BoundProblem, samples: Samples) -> Array:
     packed = np.array([np.concatenate([np.zeros(0), *row]) for row in constants]).reshape(block.constants.shape)
     other = replace(block, samples=samples, constants=packed, row_columns=tuple(columns.values()))
     return other.at_nominal(block.model.columnwise("residual"))
-
-
-def _trimmed(residual: Array) -> float:
-    """Root mean square of residuals, the largest tenth left out."""
-    squares = np.sort(np.ravel(residual) ** 2)[: math.ceil(KEPT * residual.size)]
-    return math.sqrt(float(squares.mean()))
 
 
 def _looked_at_closely(tried: list[_Attempt]) -> list[_Attempt]:
@@ -259,10 +243,7 @@ def _to_the_end(trial: _Attempt) -> _Attempt:
 
 
 def _pairs(tried: list[_Attempt], problem: Problem, most: float) -> list[_Attempt]:
-    """Pairs of faults: wrong units and signs, and the most promising ones, each with every common fault.
-
-    Those whose rows lie farther off the drawn arm than `most`, mm, are not fitted.
-    """
+    """Wrong units and signs, and what is most promising, each with every common fault of rows within `most`, mm."""
     usual = {"unit of the joints", *(suspect.about for suspect in problem.instrument.suspects)}
     best = sorted(tried, key=lambda trial: trial.size)
     first = [trial for k, trial in enumerate(best) if k < PAIRED or trial.faults[0].about in usual]
@@ -293,9 +274,94 @@ def _misfit_cause(best: _Attempt, base: float, tried: list[_Attempt], alike: lis
     also = f"; {', '.join(rivals)} would explain it equally well" if rivals else ""
     causes = " and ".join(fault.cause for fault in best.faults)
     undone = "with that undone" if len(best.faults) == 1 else "with both undone"
-    cause = (
-        f"{causes}{best.undone.found}: {undone}, the misfit falls from {times(base)} to {times(best.size)} times the "
-        f"stated noise{also}"
-    )
+    falls = f"the misfit falls from {times(base)} to {times(best.size)} times the stated noise"
+    cause = f"{causes}{best.undone.found}: {undone}, {falls}{also}"
     fix = ". ".join(fault.fix for fault in best.faults) + ("" if rivals else best.undone.offer)
     return MisfitCause(Finding("error", names, cause, fix), best.undone)
+
+
+def changed_midway(problem: Problem, samples: Samples) -> Finding | None:
+    """An error where rows on one side of a line fit by themselves and the others do not fit to them; else None."""
+    count = len(samples)
+    for backwards in (False, True):
+        rows = samples.take(range(count)[:: -1 if backwards else 1])
+        place = _first_unexpected(problem, rows)
+        if place is None or count - place < FEW_LEFT:
+            continue
+        good, rest = (samples.take(range(place)), samples.take(range(place, count)))
+        if backwards:
+            good, rest = samples.take(range(count - place, count)), samples.take(range(count - place))
+        if not _surprising(problem, good, rest):
+            continue
+        line = rest.lines[-1 if backwards else 0]
+        where = f"up to line {line}" if backwards else f"from line {line} on"
+        base = misfit(problem, rest)
+        if (named := exchanged_labels(problem, good, rest)) is not None:
+            about, cause, fix = named
+        elif base > SUSPICIOUS and (own := explained(problem, rest, base, whole=rest)) is not None:
+            about, cause, fix = own.finding.about, own.finding.cause, f"Mend these rows alone: {own.finding.fix}"
+        else:
+            about, cause = SOMETHING, "they fit by themselves too, but not to the others"
+            if base > SUSPICIOUS:
+                cause = f"they do not fit ({times(base)} times the stated noise by themselves)"
+            fix = "Find out what was changed there: arm, base, tool, dial, faces or the recording; "
+            fix += "measure those rows again"
+        alone = "the later lines fit by themselves" if backwards else "the lines before fit by themselves"
+        return Finding("error", f"{about} {where}", f"{alone}, and {where} {cause}", fix)
+    return None
+
+
+def _first_unexpected(problem: Problem, samples: Samples) -> int | None:
+    """How many rows fit before the first that those before it do not expect; None where too few do."""
+    fits, fails = FEWEST, len(samples)
+    if fits >= fails or misfit(problem, samples.take(range(fits))) > SUSPICIOUS:
+        return None
+    while fails - fits > 1:
+        middle = (fits + fails) // 2
+        good = misfit(problem, samples.take(range(middle))) <= SUSPICIOUS
+        fits, fails = (middle, fails) if good else (fits, middle)
+    before = math.inf
+    for place in range(max(FEWEST, int(TRIMMED * fits)), fails + 1):
+        try:
+            found = lm(bind(problem, samples.take(range(place))))
+        except CasacalError:  # a face of too few rows so far
+            continue
+        if 2 * (found.cost - before) > UNEXPECTED * max(2 * before / place, 1.0):
+            return place - 1
+        before = found.cost
+    return fits
+
+
+def _surprising(problem: Problem, good: Samples, rest: Samples) -> bool:
+    """Whether good rows, more than their fit needs, do not expect most of the others by far.
+
+    Where the model is wrong everywhere, or the noise is, the first rows fit as well, if they are few.
+    """
+    whole = bind(problem, joined(good, rest))
+    part, later = whole.take(range(len(good))), whole.take(range(len(good), len(whole.measured)))
+    found = lm(part)
+    if not found.converged or part.rows - effective_unknowns(part, found.x) < LEFT_OVER:
+        return False
+    jacobian, covariance = later.jacobian(found.x), found.covariance
+    known = np.isfinite(np.diagonal(covariance))  # but for faces that the good rows do not show
+    spread = np.einsum("ij,jk,ik->i", jacobian[:, known], covariance[np.ix_(known, known)], jacobian[:, known])
+    told = (jacobian[:, ~known] == 0).all(axis=1)
+    off = np.abs(later.residual(found.x)[told]) / np.sqrt(1 + spread[told])
+    return bool(off.size) and float(np.median(off)) > FAR_OFF
+
+
+def labels_exchanged(problem: Problem, samples: Samples, moved: Samples) -> Finding | None:
+    """An error where faces only seem to have moved, as two labels were exchanged from some row on; else None.
+
+    moved: the rows with the faces named otherwise from there on.
+    """
+    column = problem.instrument.groups
+    later = np.flatnonzero(moved.faces(column).codes >= len(samples.faces(column).names))
+    if not later.size:
+        return None
+    good, rest = samples.take(range(int(later[0]))), samples.take(range(int(later[0]), len(samples)))
+    if (named := exchanged_labels(problem, good, rest)) is None:
+        return None
+    about, cause, fix = named
+    where = f"from line {rest.lines[0]} on"
+    return Finding("error", f"{about} {where}", f"{where} {cause}", fix)

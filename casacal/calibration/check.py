@@ -7,31 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from casacal.calibration import before_fit
 from casacal.calibration.agreement import disagreement, not_the_same
-from casacal.calibration.before_fit import OUTSIDE, WRONG_SIGN, odd_labels, outside, repeated, rounded, sign_before_fit
-from casacal.calibration.cause import MisfitCause, cause_of_rows, explained
+from casacal.calibration.cause import MisfitCause, cause_of_rows, changed_midway, explained, labels_exchanged
 from casacal.calibration.conventions import CONVENTIONS
-from casacal.calibration.faults import ALIKE, EXPLAINED, MOVED, SUSPICIOUS, flips
-from casacal.calibration.finding import Finding, misfit, quick_fit, size_of
-from casacal.calibration.midway import changed_midway, labels_exchanged
+from casacal.calibration.faults import MOVED, flips
+from casacal.calibration.finding import ALIKE, EXPLAINED, SUSPICIOUS, Finding, misfit, quick_fit, size_of
 from casacal.calibration.mirror import DIAL_WAY, either_way, mirror_image
 from casacal.calibration.numbers import tool_elsewhere_at, tool_keys, without_its_likes, wrong_number, wrong_scale
-from casacal.calibration.set_aside import (
-    gross,
-    off_their_face,
-    robust_fit,
-    single_rows,
-    studentised_outliers,
-)
-from casacal.calibration.set_up import (
-    NO_LENGTH,
-    enough_rows,
-    in_metres,
-    lost_labels,
-    lost_targets,
-    setup_findings,
-    upside_down,
-)
+from casacal.calibration.set_aside import gross, off_their_face, robust_fit, single_rows, studentised_outliers
 from casacal.data.repeats import without_copies
 from casacal.data.samples import Measurements, Samples
 from casacal.effects.selection import dial_errors, effect_sizes_of, with_effects
@@ -47,7 +31,6 @@ from casacal.values import Index
 from casacal.wording import figures, listed, sized, times
 
 COUNTED = "Calibrate anyway: the kit of effects accounts for this"
-
 FIXES = {
     "gain": "Declare gain=dial_gain(0.15), or give its certificate",
     "cycle": "Declare cycle=dial_cycle(3), or use another dial",
@@ -60,21 +43,17 @@ FIXES = {
     "drift": "Let the dial warm up, fasten it and the faces, and repeat one touch from time to time",
     "growth": "Let the arm warm up by running its production program before measuring",
 }
-
 OTHERWISE = "Look for its cause, or declare it as an effect of the problem"
-APART = 1.5
-"""Times the misfit of the instrument that fits worst alone, beyond which all together contradict one another."""
+APART = 1.5  # times the misfit of the instrument that fits worst alone, beyond which all contradict one another
 MOST_ROWS = 600  # rows used to look for systematic faults; more add time, not insight
 OF_A_FACE = 12  # rows of a face, where faces are many, that tell of systematic faults
 SPREAD = 20_000  # rows that tell of the set-up and of what the prior explains; more add memory, not insight
 STUCK = 1e-9  # rad or mm within which a joint does not move
 MOST_STRAY = 0.1  # part of the rows beyond which those far off their face are no single rows if the others do not fit
-OF_TWO = 3.0
-"""Times what prior errors explain by which the drawn arm must miss before two mistakes at once are looked for."""
+OF_TWO = 3.0  # times what prior errors explain by which the drawn arm must miss before two mistakes are looked for
 ORDER = {"error": 0, "warning": 1, "remark": 2}
 UNBOUND = "cannot be bound"
-OF_ALL = ("few rows", NO_LENGTH)
-"""Findings that concern all instruments together: what one cannot observe, another may."""
+OF_ALL = "few rows", before_fit.NO_LENGTH  # of all instruments together: what one cannot observe, another may
 
 
 def effect_findings(problem: Problem, samples: Samples) -> list[Finding]:
@@ -113,14 +92,10 @@ def contradictions(bound: BoundProblem, measured: Measurements) -> list[Finding]
         fit = with_effects(bound.with_noise(found_noise(bound).scale), problem) if problem.shared else bound
         return (not_the_same(fit, lm(fit)) if problem.shared else []) or disagreement(bound)
     shared = "".join(f"; '{key}' is declared as the same for {' and '.join(by)}" for key, by in problem.shared.items())
-    cause = (
-        f"each fits alone (residuals up to {times(worst)} times the stated noise), but not together "
-        f"({times(together)} times){shared}"
-    )
-    fix = (
-        "Check that arm, tool and base were the same for all, and that what is declared as shared is one and the "
-        "same; too small a stated noise of one instrument can also be the cause"
-    )
+    alone = f"residuals up to {times(worst)} times the stated noise"
+    cause = f"each fits alone ({alone}), but not together ({times(together)} times){shared}"
+    fix = "Check that arm, tool and base were the same for all, and that what is declared as shared is one and the "
+    fix += "same; too small a stated noise of one instrument can also be the cause"
     return [Finding("error", "instruments contradict each other", cause, fix)]
 
 
@@ -145,18 +120,20 @@ def check(problem: Problem, samples: Samples | Measurements, *, confirmed: bool 
         if not isinstance(samples, Measurements) or samples.names != problem.names:
             fix = f"Give Measurements of {', '.join(problem.names)}"
             raise CasacalError("The samples are not those of the problem's instruments", fix)
-        return _in_order(_of_several(problem, samples, confirmed))
-    return _in_order(_of_one(problem, Measurements.of(samples).sets[0], confirmed))
+        found = _of_several(problem, samples, confirmed)
+    else:
+        found = _of_one(problem, Measurements.of(samples).sets[0], confirmed)
+    return tuple(sorted(without_its_likes(found), key=lambda finding: ORDER[finding.severity]))
 
 
 def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding]:
     """Findings on the samples of a problem's only instrument."""
     drawn = problem
-    lost, samples = lost_targets(problem, samples)
+    lost, samples = before_fit.lost_targets(problem, samples)
     if lost and not len(samples):
         return lost
-    findings = [*lost, *repeated(samples), *outside(problem, samples)]
-    findings += [*lost_labels(problem, samples), *odd_labels(problem, samples)]
+    findings = [*lost, *before_fit.repeated(samples), *before_fit.outside(problem, samples)]
+    findings += [*before_fit.lost_labels(problem, samples), *before_fit.odd_labels(problem, samples)]
     samples = without_copies(samples)  # as calibrate takes them
     try:
         bound = bind(problem, samples)
@@ -164,15 +141,17 @@ def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding
         return [Finding("error", UNBOUND, error.what, error.fix), *findings]
     some = bound if len(samples) <= SPREAD else bound.on(samples.take(_evenly(len(samples), SPREAD)))
     scatter = prior_scatter(some, flat_counts=True).rms
-    if wrong := [*in_metres(problem, samples), *upside_down(some, scatter)]:
+    if wrong := [*before_fit.in_metres(problem, samples), *before_fit.upside_down(some, scatter)]:
         return [*wrong, *findings]
     bad, stray = off_their_face(bound, scatter)
     good = samples.take(np.flatnonzero(~bad)) if bad.any() else samples
     few = _few_of_each_face(problem, good)
     base = misfit(problem, few)
-    if _constants_explain(problem, few, base):
-        problem = with_constants(problem)
-        base = misfit(problem, few)
+    if base > SUSPICIOUS and (freed := with_constants(problem)) is not problem:
+        fitted = quick_fit(freed, few, backend="blocks")
+        # one that would have to be farther off than its prior covers is a mistake to find, such as a wrong scale
+        if fitted is not None and size_of(*fitted) <= SUSPICIOUS and not beyond(fitted[0], fitted[1].x):
+            problem, base = freed, misfit(freed, few)
     if base > SUSPICIOUS and bad.sum() > MOST_STRAY * len(samples):
         good, few = samples, _few_of_each_face(problem, samples)
         base = misfit(problem, few)
@@ -187,60 +166,50 @@ def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding
         findings = _with_cause(findings, cause, some, few)
         unsure = cause.finding.about == CONVENTIONS and not confirmed
         return [*findings, *(_image(bind(cause.undone.problem, cause.undone.samples), confirmed) if unsure else [])]
-    findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some)]
+    findings += [*before_fit.rounded(bound), *before_fit.setup_findings(some), *before_fit.sign_before_fit(some)]
     findings += stray if base <= EXPLAINED else []  # else the other rows miss as well, and these are not the cause
     if base > SUSPICIOUS:
         return [_unexplained(problem, samples, base, findings), *findings]
-    quick = quick_fit(with_constants(problem), few, backend="blocks")
-    if quick is not None:
-        fitted = quick[0], quick[1].x, quick[1].covariance
-        findings += [*tool_elsewhere_at(*fitted), *wrong_scale(*fitted)]
     rest = bind(with_constants(problem), good, backend="blocks")  # for few looks nothing is worth compiling
-    findings += [*_invisible_flips(problem, few, base), *_rows(rest)]
-    findings = _with_cause_of_rows(problem, samples, findings)
+    findings = _of_fitting_rows(problem, samples, few, base, rest, findings)
     if all(finding.severity != "error" for finding in findings):
-        findings += effect_findings(drawn, few)
-        findings += _image(rest, confirmed)
+        findings += [*effect_findings(drawn, few), *_image(rest, confirmed)]
     return findings
 
 
-def _constants_explain(problem: Problem, samples: Samples, base: float) -> bool:
-    """Whether constants that the instrument takes for exact may explain a misfit, each within what its prior covers.
-
-    One that would have to be farther off is a mistake to find, such as a wrong scale.
-    """
-    if base <= SUSPICIOUS or with_constants(problem) is problem:
-        return False
-    fitted = quick_fit(with_constants(problem), samples, backend="blocks")
-    return fitted is not None and size_of(*fitted) <= SUSPICIOUS and not beyond(fitted[0], fitted[1].x)
-
-
-def _with_cause_of_rows(problem: Problem, samples: Samples, findings: list[Finding]) -> list[Finding]:
-    """The findings, with what explains all rows that lie off, if something does, in their place."""
+def _of_fitting_rows(
+    problem: Problem, samples: Samples, few: Samples, base: float, rest: BoundProblem, findings: list[Finding]
+) -> list[Finding]:
+    """The findings so far with those on tool and scale, joint flips, and single rows, of rows that fit on the whole."""
+    if (quick := quick_fit(rest.problem, few, backend="blocks")) is not None:
+        fitted = quick[0], quick[1].x, quick[1].covariance
+        findings += [*tool_elsewhere_at(*fitted), *wrong_scale(*fitted)]
+    for fault in flips(problem):
+        undone = fault.undo(problem, few)
+        if misfit(undone.problem, undone.samples) <= ALIKE * base:
+            cause = "these samples would look the same, so they cannot show it"
+            findings.append(Finding("remark", f"{fault.about}?", cause, "Check it by hand"))
+    findings += _rows(rest)
     off = np.isin(samples.lines, [line for each in findings if each.severity == "error" for line in each.lines])
-    cause = cause_of_rows(problem, samples, off)
-    return findings if cause is None else [cause, *(each for each in findings if not each.lines)]
+    cause_of_all = cause_of_rows(problem, samples, off)  # what explains all rows that lie off stands in their place
+    return findings if cause_of_all is None else [cause_of_all, *(each for each in findings if not each.lines)]
 
 
 def _with_cause(findings: list[Finding], cause: MisfitCause, bound: BoundProblem, few: Samples) -> list[Finding]:
     """The cause, then the findings that it does not explain, and weaknesses of the set-up with it undone."""
-    undone = cause.undone
-    remaining = {finding.about for finding in outside(undone.problem, undone.samples)}
-    explained_too = {finding.about for finding in outside(bound.problem, few)} - remaining
+    undone, found = cause.undone, cause.finding
+    remaining = {finding.about for finding in before_fit.outside(undone.problem, undone.samples)}
+    explained_too = {finding.about for finding in before_fit.outside(bound.problem, few)} - remaining
     kept = [finding for finding in findings if finding.about not in explained_too]
-    found = cause.finding
-    if found.about == WRONG_SIGN and OUTSIDE in explained_too:
+    if found.about == before_fit.WRONG_SIGN and before_fit.OUTSIDE in explained_too:
         found = replace(found, cause=f"the readings have a minus and should not: {found.cause.partition(': ')[2]}",
                         fix="Write the readings without the minus")  # fmt: skip
-    elif found.about == WRONG_SIGN:
-        found = replace(found, cause="; ".join([found.cause, *(each.cause for each in sign_before_fit(bound))]))
+    elif found.about == before_fit.WRONG_SIGN:
+        causes = [found.cause, *(each.cause for each in before_fit.sign_before_fit(bound))]
+        found = replace(found, cause="; ".join(causes))
     faces = few if MOVED in found.about else undone.samples  # which calls those touched later by new names
-    weak = setup_findings(bind(undone.problem, replace(undone.samples, labels=faces.labels)))
+    weak = before_fit.setup_findings(bind(undone.problem, replace(undone.samples, labels=faces.labels)))
     return [found, *kept, *(finding for finding in weak if finding.about != "few rows")]
-
-
-def _in_order(findings: list[Finding]) -> tuple[Finding, ...]:
-    return tuple(sorted(without_its_likes(findings), key=lambda finding: ORDER[finding.severity]))
 
 
 def _few_of_each_face(problem: Problem, samples: Samples) -> Samples:
@@ -281,10 +250,8 @@ def _unexplained(problem: Problem, samples: Samples, base: float, findings: list
     tried += ["drift"] if instrument.probe is not None and instrument.probe.column is not None else []
     tried += ["tool offset"] if tool_keys(problem) else []
     cause = f"{cause}, and no {listed(tried, 'or')} explains it"
-    fix = (
-        "Check the robot's nominal values and the instrument's noise; compliance, backlash, a loose joint or a warped "
-        "face can be the cause"
-    )
+    fix = "Check the robot's nominal values and the instrument's noise; "
+    fix += "compliance, backlash, a loose joint or a warped face can be the cause"
     if base > EXPLAINED:  # more than any arm errs
         first = f"See that {listed(still)} was read anew in each row. " if still else ""
         fix = f"{first}Check labels, columns and DH table; casacal doctor compares the table with poses on the pendant"
@@ -296,14 +263,6 @@ def _unexplained(problem: Problem, samples: Samples, base: float, findings: list
     return Finding("error", "misfit", cause, fix)
 
 
-def _invisible_flips(problem: Problem, samples: Samples, base: float) -> list[Finding]:
-    """Remarks on joint flips that these samples cannot show."""
-    undone = {fault.about: fault.undo(problem, samples) for fault in flips(problem)}
-    unseen = [about for about, each in undone.items() if misfit(each.problem, each.samples) <= ALIKE * base]
-    cause = "these samples would look the same, so they cannot show it"
-    return [Finding("remark", f"{about}?", cause, "Check it by hand") for about in unseen]
-
-
 def _rows(bound: BoundProblem) -> list[Finding]:
     """Outliers, else a noise that is not as stated."""
     fitted = robust_fit(bound)
@@ -312,8 +271,7 @@ def _rows(bound: BoundProblem) -> list[Finding]:
         return outliers
     if wrong := wrong_number(bound):
         return wrong
-    plain = lm(bound)
-    ratio, low, high = noise_interval(plain)
+    ratio, low, high = noise_interval(lm(bound))
     if low <= 1.1 and high >= 0.9:
         return []
     cause = f"the residuals are {ratio:.2f} times the stated noise (95 % {low:.2f} to {high:.2f})"
@@ -344,7 +302,7 @@ def _of_several(problem: Problem, measured: Measurements, confirmed: bool) -> li
         if any(finding.about == UNBOUND for finding in found):  # said already of the instrument that it is about
             return found
         return [Finding("error", UNBOUND, error.what, error.fix), *found]
-    found += enough_rows(bound)
+    found += before_fit.enough_rows(bound)
     if all(finding.severity != "error" for finding in found):
         try:  # single rows that an instrument of few rows alone does not show, as calibrate sets them aside
             bad, aside = gross(bound)

@@ -1,9 +1,9 @@
 """Joints counted otherwise than the problem says, as their makers count them.
 
-Signs of all joints, quarter turns of those in the middle, joint 3 measured against joint 2: some 50,000 patterns. What
-the first joints do to a point does not depend on the others, so the tips of all come of a few matrix products. Each is
-judged by what the tips leave of a shape: points of a tracker are an affine image of them, touches of a face lie on a
-plane, those of a sphere and the ends of a wire on a quadric. The best few are then fitted.
+Signs of all joints, quarter turns of those in the middle, joint 3 measured against joint 2: some 50,000 patterns, whose
+tips all come of a few matrix products. Each is judged by what the tips leave of a shape: points of a tracker are an
+affine image of them, touches of a face lie on a plane, those of a sphere and the ends of a wire on a quadric. The best
+few are then fitted.
 """
 
 from __future__ import annotations
@@ -148,7 +148,12 @@ def _fault(problem: Problem, samples: Samples, mixing: Array, pattern: Index, pl
     freedom = int((pattern != plain).sum())
     if not inside_limits(robot, undo(problem, samples).samples.joints).all():
         freedom += BEYOND_LIMITS
-    cause = f"the controller seems to count joints otherwise: {', '.join(_in_words(k, pattern) for k in changed)}"
+    counted = []  # how joints are counted: "q3 as q2 - q3"
+    for k in changed:
+        terms = [(sign[k] * factor[k], f"q{k}"), (sign[k], f"q{k + 1}"), (quarter[k], f"{90 * abs(quarter[k])}")]
+        plus, minus = " + ".join(name for value, name in terms if value > 0), [n for value, n in terms if value < 0]
+        counted.append(f"q{k + 1} as {' - '.join([plus, *minus]) if plus else '-' + ' - '.join(minus)}")
+    cause = f"the controller seems to count joints otherwise: {', '.join(counted)}"
     fix = f"Compare four poses of the pendant (casacal doctor), and write into the problem{in_problem(robot, meant)}"
     return Fault(CONVENTIONS, cause, fix, undo, freedom, common=False)
 
@@ -161,11 +166,3 @@ def in_problem(robot: Robot, meant: Conventions) -> str:
     signs = tuple(a * b for a, b in zip(own.signs, meant.signs, strict=True))
     offsets = tuple(a + s * b for s, a, b in zip(own.signs, own.offsets, meant.offsets, strict=True))
     return f", with the limits: {conventions_line(Conventions(signs, offsets, meant.coupling), robot.axes)}"
-
-
-def _in_words(joint: int, pattern: Index) -> str:
-    """How a joint, from 0, is counted: "q3 as q2 - q3"."""
-    sign, quarter, factor = pattern[joint].tolist()
-    terms = [(sign * factor, f"q{joint}"), (sign, f"q{joint + 1}"), (quarter, f"{90 * abs(quarter)}")]
-    plus, minus = (" + ".join(name for value, name in terms if value > 0), [name for value, name in terms if value < 0])
-    return f"q{joint + 1} as {' - '.join([plus, *minus]) if plus else '-' + ' - '.join(minus)}"

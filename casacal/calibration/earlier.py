@@ -87,9 +87,8 @@ class RowsSince:
         With its effects beside the geometry, of their sizes (`kit`), and with the noise that it found (`noise`). Raises
         CasacalError for what cannot be loosened, or stand; SamplesError for too few rows.
         """
-        case, source = self.opened, self.opened.source.problem
-        standing = self.result.standing
-        fresh = fresh_rows(case.arm, source, samples, other=case.other, standing=standing)
+        case, standing = self.opened, self.result.standing
+        fresh = fresh_rows(case.arm, case.source.problem, samples, other=case.other, standing=standing)
         fresh = with_memory(fresh, case.arm).loosened(self.result.loosened)
         if fresh.lost.any():
             name = fresh.gaussian.names[int(np.flatnonzero(fresh.lost)[0])]
@@ -124,50 +123,30 @@ def earlier(
     for what, names in (("to loosen", loosen), ("of what has not moved", standing)):
         if isinstance(names, str):
             raise CasacalError(f"Got the text '{names}' as the list {what}", f"Give ('{names}',)")
-    arm = _arm_of(result)
-    robot = source.problem.robot
+    arm, robot = arm_from(result, "the earlier result"), source.problem.robot
+    if (words := arm.denial) is not None:
+        fix = "Mend what the verdict names, and calibrate again"
+        raise RefusedResultError(f"{arm.file}: {words.removesuffix('.')}, so it is no prior", fix)
+    if arm.found.method == "truth":
+        raise CasacalError(f"{arm.file}: a true arm is not estimated, so it is no prior", "Give a calibration")
+    if arm.source.problem.exact:  # no variance is left along them, and so no information that could be written
+        what = f"{arm.file}: a result that keeps constraints exactly is no prior"
+        raise CasacalError(what, "Calibrate with the old and the new rows together")
+    if arm.found.data.instruments:
+        what = f"{arm.file}: a result of several instruments is no prior of the rows of one"
+        raise CasacalError(what, "Calibrate again with all rows")
     if not same_arm(arm.source.problem.robot, robot):
         what = f"{arm.file}: the arm of the problem ({robot.name}) is not the calibrated one"
         raise CasacalError(what, "Give the problem that it was calibrated with")
     other = type(source.problem.instrument) is not type(arm.source.problem.instrument)
     _refuse_other_unknowns(arm, source.problem, other=other)
     opened = fresh_among(arm, source, samples, other=other)
-    found, said = arm.found, arm.found.verdict
+    found, said = arm.found, arm.found.verdict or Verdict("use with care", "It has no verdict.")
     requested = loosen if isinstance(loosen, Mapping) else dict.fromkeys(loosen)
     stds = {name.replace("joint ", "joint"): None if std == math.inf else std for name, std in requested.items()}
-    return RowsSince(
-        opened,
-        EarlierResult(
-            arm.file,
-            str((arm.document.get("seal") or {}).get("sha256", "")),
-            said if said is not None else Verdict("use with care", "It has no verdict."),
-            found.tip.expected_mm,
-            opened.noise_freedom,
-            tuple(standing),
-            stds,
-            arm.corrected,
-            found.data.fitted_rows,
-            opened.fitted,
-            found.mirror_image,
-        ),
-    )
-
-
-def _arm_of(source: Any) -> CalibratedArm:
-    """A result as an arm that can be a prior; raises CasacalError for one that is none."""
-    result = arm_from(source, "the earlier result")
-    if (words := result.denial) is not None:
-        fix = "Mend what the verdict names, and calibrate again"
-        raise RefusedResultError(f"{result.file}: {words.removesuffix('.')}, so it is no prior", fix)
-    if result.found.method == "truth":
-        raise CasacalError(f"{result.file}: a true arm is not estimated, so it is no prior", "Give a calibration")
-    if result.source.problem.exact:  # no variance is left along them, and so no information that could be written
-        what = f"{result.file}: a result that keeps constraints exactly is no prior"
-        raise CasacalError(what, "Calibrate with the old and the new rows together")
-    if result.found.data.instruments:
-        fix = "Calibrate again with all rows"
-        raise CasacalError(f"{result.file}: a result of several instruments is no prior of the rows of one", fix)
-    return result
+    seal, freedom = str((arm.document.get("seal") or {}).get("sha256", "")), opened.noise_freedom
+    known = (found.tip.expected_mm, freedom, tuple(standing), stds, arm.corrected, found.data.fitted_rows)
+    return RowsSince(opened, EarlierResult(arm.file, seal, said, *known, opened.fitted, found.mirror_image))
 
 
 def _refuse_other_unknowns(arm: CalibratedArm, problem: Problem, *, other: bool) -> None:
@@ -181,6 +160,7 @@ def _refuse_other_unknowns(arm: CalibratedArm, problem: Problem, *, other: bool)
         robots.append({name for key, unknown in each.robot.parameters.items() for name in unknown.names(key)})
         own = ((key, unknown) for key, unknown in each.instrument.unknowns.items() if unknown.per is None)
         instruments.append({name for key, unknown in own for name in unknown.names(key)})
+    # where an instrument that is held now stood would be forgotten; one that is free now is fitted to these rows
     lost = set() if other else instruments[0] - instruments[1]
     if differ := sorted((robots[0] ^ robots[1]) | lost):
         held = "the earlier calibration held" if differ[0] in robots[1] else "this problem holds"

@@ -11,19 +11,10 @@ from itertools import chain, combinations, permutations
 import numpy as np
 
 from casacal.calibration.conventions import in_problem
-from casacal.calibration.finding import (
-    FIRST_STEPS,
-    Fault,
-    Undo,
-    Undone,
-    freed_of_unknowns,
-    misfit,
-    quick_fit,
-    weighted,
-)
+from casacal.calibration.finding import SUSPICIOUS, Fault, Undo, Undone, freed_of_unknowns, misfit, quick_fit
 from casacal.calibration.numbers import numbers, tool_keys
 from casacal.data.columns import Labels
-from casacal.data.samples import Samples
+from casacal.data.samples import Samples, joined
 from casacal.fit.bound_problem import BoundProblem
 from casacal.fit.least_squares import Result
 from casacal.fit.slots import ENOUGH
@@ -31,19 +22,15 @@ from casacal.model.instrument import ANGLE_UNITS, UNIT_MISTAKES, Suspect, readin
 from casacal.model.joints import Conventions
 from casacal.model.problem import Problem
 from casacal.model.problem_text import conventions_line
-from casacal.values import Array, Index
+from casacal.values import Array
 from casacal.wording import figures, numbered_lines
 
 MOVED = "something moved"
 MOST_SCALE = 0.2  # part by which readings are too large beyond which it is no error of scale
 LITTLE = 0.99  # part of the squares that a step for such a size may leave
 ROUNDS = 4  # Gauss-Newton steps for the size of a fault; all are nearly linear in it
-
-PLACES = 12
-"""Places in the order of the rows at which something may have moved, before the best one is looked at closely."""
-
+PLACES = 12  # in the order of the rows, at which something may have moved, before the best is looked at closely
 MOST_SHIFTS, WORTH = 3, 0.8  # shifts that are looked for; part of the misfit that a further one may leave
-
 MOST_PAIRED = 1200  # rows beyond which it takes too long to look where they slipped
 SURELY_OFF = 10.0  # times the median residual beyond which a row is off, however far
 FEWEST = 5  # rows that a face needs on either side of such a place to have a plane there
@@ -52,9 +39,6 @@ SMALL = 1e-5  # step of the finite difference, mm or mm per rad
 DOCTOR = "Run casacal doctor on rows of the pendant, and write the coupling into the problem's Conventions"
 MOST_FACES = 12  # faces beyond which their labels are not exchanged two by two
 MOST_SESSIONS = 6  # labels of a column beyond which units are not looked for one by one
-SUSPICIOUS = 2.0  # misfit, in stated standard deviations, above which something systematic is looked for
-EXPLAINED = 50.0  # misfit that noise and effects leave at most; what leaves more explains nothing
-ALIKE = 1.5  # within this factor a fault and its absence cannot be told apart
 
 
 @dataclass(frozen=True)
@@ -77,14 +61,8 @@ def tool_elsewhere(problem: Problem, samples: Samples) -> Undone:
     if fitted is None or not keys:
         return Undone(problem, samples)
     bound, result = fitted
-    moved = {
-        name: float(result.x[j])
-        for slot in bound.slots
-        if slot.key in keys
-        for name, j in zip(slot.unknown.names(slot.name), slot.columns, strict=True)
-    }
-    said = ", ".join(f"{name} by {by:+.2f} mm" for name, by in moved.items())
-    return Undone(freed, samples, f": {said}")
+    moved = [j for slot in bound.slots if slot.key in keys for j in slot.columns]
+    return Undone(freed, samples, ": " + ", ".join(f"{bound.names[j]} by {result.x[j]:+.2f} mm" for j in moved))
 
 
 def drifting(problem: Problem, samples: Samples, *, column: str) -> Undone:
@@ -131,7 +109,7 @@ def somewhere_moved(problem: Problem, samples: Samples) -> Undone:
     def best_of(places: Sequence[int]) -> int:
         for place in places:
             if place not in tried and (later := _relabelled(problem, samples, place)) is not None:
-                tried[place] = misfit(problem, later, steps=FIRST_STEPS)
+                tried[place] = misfit(problem, later, first=True)
         return min(tried, key=tried.__getitem__, default=0)
 
     rough = best_of(range(step, len(samples), step))
@@ -179,8 +157,8 @@ def _best_place(bound: BoundProblem, result: Result, shifted: Samples) -> tuple[
     here, places = bound.residual(result.x), np.arange(FEWEST, len(shifted) - FEWEST)
     slope = (bound.on(shifted).residual(result.x) - here) / SMALL
     later = bound.sample_of[:, None] >= places
-    ways = freed_of_unknowns(bound, result, later * slope[:, None])
-    gains = (ways.T @ weighted(bound, result, here)) ** 2 / np.maximum((ways**2).sum(axis=0), 1e-300)
+    whole, ways = freed_of_unknowns(bound, result, here, later * slope[:, None])
+    gains = (ways.T @ whole) ** 2 / np.maximum((ways**2).sum(axis=0), 1e-300)
     return float(gains.max()), int(places[np.argmax(gains)])
 
 
@@ -194,8 +172,7 @@ def joint_slipped(problem: Problem, samples: Samples) -> Undone:
     size = 0.0
     for _ in range(2):  # the place anew once the size is known
         (size,) = fitted_sizes(problem, samples, partial(_turned_back, joint=joint, place=place))
-        undone = quick_fit(problem, _turned_back(samples, size, joint=joint, place=place))
-        if undone is None:
+        if (undone := quick_fit(problem, _turned_back(samples, size, joint=joint, place=place))) is None:
             return Undone(problem, samples)
         both = (undone[0].on(rows) for rows in (samples, _turned_back(samples, size, joint=joint, place=0)))
         before, after = (each.largest(np.abs(each.residual(undone[1].x))) for each in both)
@@ -225,11 +202,7 @@ def hanging(samples: Samples) -> Iterator[Fault]:
         lines = numbered_lines([samples.lines[k] for k in np.flatnonzero(still).tolist()])
         cause = f"joint {i + 1} shows one and the same value up to {lines}, as of an encoder or a recorder that hangs"
         kept, fix = np.flatnonzero(~still), "Measure these rows again"
-        yield Fault(f"joint {i + 1} stuck", cause, fix, OfRows(partial(_only, kept=kept)), 1, common=False)
-
-
-def _only(samples: Samples, *, kept: Index) -> Samples:
-    return samples.take(kept)
+        yield Fault(f"joint {i + 1} stuck", cause, fix, OfRows(partial(Samples.take, rows=kept)), 1, common=False)
 
 
 def _relabelled(problem: Problem, samples: Samples, place: int) -> Samples | None:
@@ -259,17 +232,15 @@ def fitted_sizes(
     if len(samples) > ENOUGH:
         return start
     for _ in range(ROUNDS):
-        fitted = quick_fit(problem, change(samples, *sizes))
-        if fitted is None:
+        if (fitted := quick_fit(problem, change(samples, *sizes))) is None:
             return (0.0,) * len(start)
         bound, result = fitted
         here = bound.residual(result.x)
         steps = (change(samples, *(sizes + step)) for step in SMALL * np.eye(len(sizes)))
         slopes = np.column_stack([(bound.on(changed).residual(result.x) - here) / SMALL for changed in steps])
-        left = freed_of_unknowns(bound, result, slopes)
+        whole, left = freed_of_unknowns(bound, result, here, slopes)
         if not left.any(axis=0).all():
             break
-        whole = weighted(bound, result, here)
         step, *_ = np.linalg.lstsq(left, whole, rcond=None)
         if ((whole - left @ step) ** 2).sum() > LITTLE * (whole**2).sum():  # it explains nothing, or is found
             break
@@ -295,7 +266,7 @@ def _places(problem: Problem, samples: Samples) -> Iterator[Fault]:
         lines = numbered_lines([samples.lines[k] for k in np.flatnonzero(again).tolist()])
         cause = f"{lines} hold the same place as others to the last digit, as of a target that was lost"
         kept, fix = np.flatnonzero(~again), "Remove these lines, or measure them again"
-        yield Fault("lost target", cause, fix, OfRows(partial(_only, kept=kept)), 1, common=False)
+        yield Fault("lost target", cause, fix, OfRows(partial(Samples.take, rows=kept)), 1, common=False)
     for column in samples.labels:
         labels = samples.faces(column)
         if not 2 <= len(labels.names) <= MOST_SESSIONS:
@@ -363,8 +334,7 @@ def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
     own = None if arm is None else arm.conventions
     if tool_keys(problem):
         fix = "Measure the tool from the flange again, and correct it in the problem file"
-        cause = "the tool seems to be elsewhere"
-        yield Fault("tool elsewhere", cause, fix, tool_elsewhere, 3)
+        yield Fault("tool elsewhere", "the tool seems to be elsewhere", fix, tool_elsewhere, 3)
     if probe is not None and probe.column is not None:
         yield from _signs_of_faces(samples, probe.column, probe.label, sum(readings_within(probe.travel)))
         yield from _some_units(samples, probe.column, readings_within(probe.travel))
@@ -387,13 +357,11 @@ def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
             yield Fault(about, cause, DOCTOR, partial(geared, turning=i, sliding=j), 1, False)
     lengths = [name for name, kind in problem.instrument.columns.items() if kind == "length"]
     if lengths:
-        who, fix = (
-            "readings",
-            "Check the instrument's scale factor and its settings for air, or declare the scale as an unknown",
-        )
+        who, seem = ("readings", "readings seem") if probe is None else ("dial", "dial seems")
+        fix = "Check the instrument's scale factor and its settings for air, or declare the scale as an unknown"
         if probe is not None:
-            who, fix = "dial", "Have the dial calibrated, or declare its gain as an unknown: gain=dial_gain(2)"
-        cause = f"the {'readings seem' if probe is None else 'dial seems'} to be off in proportion"
+            fix = "Have the dial calibrated, or declare its gain as an unknown: gain=dial_gain(2)"
+        cause = f"the {seem} to be off in proportion"
         yield Fault(f"scale of the {who}", cause, fix, partial(scaled, columns=lengths), 1, False)
     if probe is not None and probe.column is not None:
         fix = "Let dial and arm warm up, fasten the stand, and measure again; touch one place at the beginning and end"
@@ -445,11 +413,10 @@ def _paired(problem: Problem, samples: Samples, *, whole: Samples, by: int, labe
     del samples  # thinned ones are no neighbours
     slipped = partial(_slipped, whole, by=by, labels=labels)
     tried = range(0, len(whole) - 1, max(len(whole) // (PLACES + 1), 1))
-    sizes = {place: misfit(problem, slipped(place), steps=FIRST_STEPS) for place in tried}
+    sizes = {place: misfit(problem, slipped(place), first=True) for place in tried}
     place = min(sizes, key=sizes.__getitem__)
     for _ in range(2):
-        fitted = quick_fit(problem, slipped(place))
-        if fitted is None:
+        if (fitted := quick_fit(problem, slipped(place))) is None:
             return Undone(problem, whole)
         bound, x = fitted[0], fitted[1].x
         most = SURELY_OFF * np.median(bound.largest(np.abs(bound.residual(x))))
@@ -495,9 +462,8 @@ def _exchanged(problem: Problem, samples: Samples) -> Iterator[Fault]:
     pairs = combinations(names if len(names) <= MOST_FACES else (), 2)
     for one, two in (pair for pair in pairs if known & set(pair)):
         cause, fix = f"the labels '{one}' and '{two}' seem to be exchanged in all rows", "Exchange them"
-        yield Fault(
-            "labels exchanged", cause, fix, OfRows(partial(exchanged, column=column, names={one: two, two: one}))
-        )
+        undo = OfRows(partial(exchanged, column=column, names={one: two, two: one}))
+        yield Fault("labels exchanged", cause, fix, undo)
 
 
 def exchanged(samples: Samples, *, column: str, names: Mapping[str, str]) -> Samples:
@@ -505,6 +471,17 @@ def exchanged(samples: Samples, *, column: str, names: Mapping[str, str]) -> Sam
     faces = samples.faces(column)
     swapped = Labels(tuple(names.get(name, name) for name in faces.names), faces.codes)
     return replace(samples, labels={**samples.labels, column: swapped})
+
+
+def exchanged_labels(problem: Problem, good: Samples, rest: Samples) -> tuple[str, str, str] | None:
+    """Name, cause and cure of two labels that are exchanged in some rows alone; None where none are."""
+    column = problem.instrument.groups
+    names = () if column is None else rest.faces(column).names
+    for one, two in combinations(names if len(names) <= MOST_FACES else (), 2):
+        mended = exchanged(rest, column=column or "", names={one: two, two: one})
+        if misfit(problem, joined(good, mended)) <= SUSPICIOUS:
+            return "labels exchanged", f"'{one}' and '{two}' seem to be exchanged", "Correct the labels there"
+    return None
 
 
 def _zeros(problem: Problem) -> Iterator[Fault]:

@@ -20,6 +20,9 @@ from casacal.values import Array
 from casacal.wording import numbered_lines
 
 Severity = Literal["error", "warning", "remark"]
+SUSPICIOUS = 2.0  # misfit, in stated standard deviations, above which something systematic is looked for
+EXPLAINED = 50.0  # misfit that noise and effects leave at most; what leaves more explains nothing
+ALIKE = 1.5  # within this factor a fault and its absence cannot be told apart
 KEPT = 0.9  # part of the rows, the best of them, that a misfit is made of
 OF_NORMAL = 0.62297  # mean square of that part of a standard normal distribution
 STEPS = 25  # steps of a quick robust fit
@@ -101,7 +104,7 @@ def quick_fit(
 
 
 def misfit(
-    problem: Problem, samples: Samples | Measurements, *, steps: int = STEPS, start: Array | None = None
+    problem: Problem, samples: Samples | Measurements, *, first: bool = False, start: Array | None = None
 ) -> float:
     """Size of residuals and of the parameters' moves after a quick robust fit; one where all is well.
 
@@ -109,25 +112,26 @@ def misfit(
     of many is), plus the prior's cost per row: a fit that explains touches by bending the arm far beyond its prior is
     no fit. Infinite if it fails.
     """
-    fitted = quick_fit(problem, samples, steps=steps, start=start)
+    fitted = quick_fit(problem, samples, steps=FIRST_STEPS if first else STEPS, start=start)
     return math.inf if fitted is None else size_of(*fitted)
 
 
 def size_of(bound: BoundProblem, result: Result) -> float:
     """The size of a quick robust fit, as `misfit` has it."""
-    squares = np.sort(bound.residual(result.x) ** 2)[: math.ceil(KEPT * bound.rows)]
-    size = math.sqrt(float(squares.mean()) / OF_NORMAL + 2 * bound.prior_cost(result.x) / bound.rows)
+    square = kept_square(bound.residual(result.x))
+    size = math.sqrt(square / OF_NORMAL + 2 * bound.prior_cost(result.x) / bound.rows)
     return size if math.isfinite(size) else math.inf
 
 
-def weighted(bound: BoundProblem, result: Result, residual: Array) -> Array:
-    """Residuals (rows + n,) of a robust fit as weighted, the prior's behind them."""
-    return np.concatenate([np.sqrt(result.weights) * residual, bound.prior_rows @ (result.x - bound.x0)])
+def kept_square(residual: Array) -> float:
+    """Mean square of residuals, the largest tenth left out."""
+    return float(np.sort(np.ravel(residual) ** 2)[: math.ceil(KEPT * residual.size)].mean())
 
 
-def freed_of_unknowns(bound: BoundProblem, result: Result, slopes: Array) -> Array:
+def freed_of_unknowns(bound: BoundProblem, result: Result, residual: Array, slopes: Array) -> tuple[Array, Array]:
     """Slopes (rows + n, k) of residuals (rows, k) as weighted, without what unknowns can follow, priors included."""
-    root = np.sqrt(result.weights)[:, None]
-    unknowns = np.vstack([root * bound.jacobian(result.x), bound.prior_rows])
-    left = np.vstack([root * slopes, np.zeros((len(bound.prior_rows), slopes.shape[1]))])
-    return np.asarray(left - unknowns @ np.linalg.lstsq(unknowns, left, rcond=None)[0])
+    root = np.sqrt(result.weights)
+    whole = np.concatenate([root * residual, bound.prior_rows @ (result.x - bound.x0)])
+    unknowns = np.vstack([root[:, None] * bound.jacobian(result.x), bound.prior_rows])
+    left = np.vstack([root[:, None] * slopes, np.zeros((len(bound.prior_rows), slopes.shape[1]))])
+    return whole, np.asarray(left - unknowns @ np.linalg.lstsq(unknowns, left, rcond=None)[0])

@@ -11,7 +11,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from casacal.calibration.as_arm import AsArm
 from casacal.calibration.inputs import problem_from, samples_of
@@ -41,7 +40,7 @@ from casacal.model.term import Here, Site, Term
 from casacal.model.unknown import Parameter, Unknown
 from casacal.uncertainty.fresh_rows import FreshRows, covariance_root
 from casacal.uncertainty.tip_error import workspace_joints
-from casacal.values import Array, is_real
+from casacal.values import Array, Index, Rows, is_real
 from casacal.wording import counted, listed
 
 JOINTS, TOOL, TURN, BASE, BASE_TURN = "shift_q", "shift_tool", "shift_turn", "shift_base", "shift_base_turn"
@@ -70,11 +69,9 @@ class Shifts(Term):
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """Coordinates of a shift: one per joint, and three translations and three rotations of tool and base."""
-        each = [0.0] * len(site.robot.axes)
-        found = {JOINTS: Parameter(each, unit="rad", prior_std=self.size)}
-        for key, unit in ((TOOL, "mm"), (TURN, "rad"), (BASE, "mm"), (BASE_TURN, "rad")):
-            found[key] = Parameter([0.0, 0.0, 0.0], unit=unit, prior_std=self.size)
-        return found
+        units = {JOINTS: "rad", TOOL: "mm", TURN: "rad", BASE: "mm", BASE_TURN: "rad"}
+        counts = {JOINTS: len(site.robot.axes)}
+        return {k: Parameter([0.0] * counts.get(k, 3), unit=unit, prior_std=self.size) for k, unit in units.items()}
 
     def joints(self, here: Here) -> Expression:
         """Shifts of the encoder zeros."""
@@ -89,11 +86,10 @@ class Shifts(Term):
 
 def with_shifts(bound: BoundProblem) -> BoundProblem:
     """The rows with the shifts as further unknowns after all others; priors of terms are lost."""
-    problem = bound.problem
-    return bound.under(problem.with_terms(*problem.terms, Shifts()))
+    return bound.under(bound.problem.with_terms(*bound.problem.terms, Shifts()))
 
 
-def shift_columns(shifted: BoundProblem, key: str) -> NDArray[np.intp]:
+def shift_columns(shifted: BoundProblem, key: str) -> Index:
     """Positions in x of a key's unknowns."""
     slot = next(slot for slot in shifted.slots if slot.key == key and slot.term == Shifts.key)
     return np.array(slot.columns, dtype=np.intp)
@@ -104,7 +100,7 @@ def _rigid(place: Expression, turn: Expression) -> Expression:
     return ca.mtimes([each.matrix if isinstance(each, Product) else ca.SX(each) for each in factors])
 
 
-def joint_direction(shifted: BoundProblem, x: Array, column: int, arm: NDArray[np.bool_]) -> Array | None:
+def joint_direction(shifted: BoundProblem, x: Array, column: int, arm: Rows) -> Array | None:
     """Direction (n,) in the arm's unknowns that does what one unit of a joint's shift does; None where there is none.
 
     One number of the arm where one does it, as an offset of a DH table; else the least of several, in their priors.
@@ -117,8 +113,7 @@ def joint_direction(shifted: BoundProblem, x: Array, column: int, arm: NDArray[n
     motions = (block.posture(what, x, joints)[1] for what in ("tip_jacobian", "flange_jacobian"))
     field[:, columns] = np.vstack([motion.reshape(3 * len(joints), -1) for motion in motions])
     wanted, own = field[:, column], np.flatnonzero(arm)
-    size = float(np.linalg.norm(wanted))
-    if not size:
+    if not (size := float(np.linalg.norm(wanted))):
         return None
     squares = (field[:, own] ** 2).sum(axis=0)
     times = np.divide(field[:, own].T @ wanted, squares, out=np.zeros(own.size), where=squares > 0)
@@ -145,18 +140,18 @@ class Fresh:
     """
 
     bound: BoundProblem
-    known: NDArray[np.bool_]
+    known: Rows
     at: Array
     covariance: Array
     other: bool = False
 
     @property
-    def lost(self) -> NDArray[np.bool_]:
+    def lost(self) -> Rows:
         """Which of the known (k,) neither samples nor prior held: nothing is promised along these."""
         return ~np.isfinite(np.diagonal(self.covariance))
 
     @property
-    def of_arm(self) -> NDArray[np.intp]:
+    def of_arm(self) -> Index:
         """Positions in x of what is known of the arm."""
         keys = self.bound.problem.robot.parameters
         of_arm = np.array([slot.key in keys for slot in self.bound.slots for _ in slot.columns], dtype=bool)
@@ -230,14 +225,12 @@ class Fresh:
     def _of_joint(self, i: int) -> Array:
         """Direction (n,) in the arm's unknowns that is equivalent to a shift of a joint's encoder zero."""
         shifted = with_shifts(self.bound)
-        arm = np.isin(np.arange(shifted.unknowns), self.of_arm)
         x = np.append(self.at, np.zeros(shifted.unknowns - self.at.size))
         x[np.array(shifted.beside, dtype=bool)] = 0.0  # gears that err are no part of an offset
-        found = joint_direction(shifted, x, int(shift_columns(shifted, JOINTS)[i]), arm)
-        if found is None:
+        arm, column = np.isin(np.arange(x.size), self.of_arm), int(shift_columns(shifted, JOINTS)[i])
+        if (found := joint_direction(shifted, x, column, arm)) is None:
             what = f"no free unknown of the arm is what joint {i + 1} may have slipped by"
-            fix = "Calibrate with its parameters free (without --fix), from old and new rows"
-            raise CasacalError(what, fix)
+            raise CasacalError(what, "Calibrate with its parameters free (without --fix), from old and new rows")
         return found[: self.at.size]
 
     @property
@@ -246,7 +239,7 @@ class Fresh:
         names = tuple(name for name, known in zip(self.bound.names, self.known, strict=True) if known)
         return Gaussian(names, self.at[self.known], self.covariance)
 
-    def some(self, rows: NDArray[np.intp]) -> FreshRows:
+    def some(self, rows: Index) -> FreshRows:
         """The linear model of some residuals (rows), with every prior row."""
         return self.linear.take(np.concatenate([rows, np.arange(self.bound.rows, len(self.linear.residual))]))
 
@@ -256,8 +249,7 @@ def with_memory(fresh: Fresh, arm: CalibratedArm) -> Fresh:
 
     Itself where a result says nothing of effects.
     """
-    found = with_effects(arm)
-    if found is None:
+    if (found := with_effects(arm)) is None:
         return fresh
     whole, off = found
     places, bound, columns = {name: i for i, name in enumerate(off)}, fresh.bound, np.flatnonzero(fresh.known)
@@ -270,7 +262,7 @@ def with_memory(fresh: Fresh, arm: CalibratedArm) -> Fresh:
     return replace(fresh, at=at, covariance=covariance)
 
 
-def guesses(bound: BoundProblem, known: NDArray[np.bool_]) -> tuple[NDArray[np.intp], Array]:
+def guesses(bound: BoundProblem, known: Rows) -> tuple[Index, Array]:
     """Unknowns (g,) that rows alone know and that have a prior, and the whitened rows (g, n) that these priors are."""
     firm = np.flatnonzero(~known & np.isfinite(bound.prior_std))
     held = np.zeros((firm.size, bound.unknowns))
@@ -283,9 +275,8 @@ def fresh_rows(
 ) -> Fresh:
     """Bind fresh rows to a result.
 
-    problem: its arm, and the instrument of the rows. other: whether that is another one than that of the calibration.
-    standing: labels of faces, or keys of unknowns, that stand where the calibration found them. Raises CasacalError for
-    what cannot be standing, SamplesError for too few rows or too many.
+    problem: its arm, and the rows' instrument. other: whether that is not the calibration's. standing: labels of faces,
+    or keys, of what stands where it was. CasacalError for what cannot stand, SamplesError for too few or many rows.
     """
     kept = _kept(result, problem, samples, standing)
     bound = _bound(result, problem, samples, kept, other=other)
@@ -324,12 +315,7 @@ def fresh_rows(
 def _bound(
     result: CalibratedArm, problem: Problem, samples: Samples, kept: Mapping[str, Array], *, other: bool
 ) -> BoundProblem:
-    """Bind rows with the calibration's non-geometric effects and with noise as it used it.
-
-    Raises ProblemError where rows lack columns that tell an effect. How large its error is without them is known, but
-    not how rows share it: torques follow the posture, a payload is the same for many rows. Neither chi-square nor the
-    error along the arm's own directions has a distribution then.
-    """
+    """Bind rows with the calibration's effects and noise; ProblemError where rows lack columns that tell an effect."""
     for effect in problem.terms:
         for name in effect.further:
             if name not in samples.extra:
@@ -447,9 +433,8 @@ class Judged:
 
     def document(self, first: Mapping[str, Any], found: Any, instead: Mapping[str, Any]) -> dict[str, Any]:
         """JSON document: entries of `first`, then the fields of `found`, those in `instead` replaced."""
-        level, words = self.verdict
         rows = {each.name: getattr(self, each.name) for each in fields(self)}
-        rows["verdict"] = {"level": level, "words": words} if level else None
+        rows["verdict"] = dict(zip(("level", "words"), self.verdict, strict=True)) if self.verdict[0] else None
         last = {name: rows.pop(name) for name in ("copied_lines", "fitted_lines", "remarks")}
         figures = {each.name: getattr(found, each.name) for each in fields(found) if each.name != "judged"}
         return dict(jsonable({**first, **rows, **figures, **instead, **last}))
@@ -464,10 +449,9 @@ class Opened:
     rows: Samples
     copied: tuple[int, ...]
     fitted: tuple[int, ...]
-    other: bool
-    """Whether another instrument than the calibration's took the rows."""
+    other: bool  # whether another instrument than the calibration's took the rows
     remarks: tuple[str, ...]
-    """Sentences: rows in postures that were fitted, and columns that are far from what they were in the fitted rows."""
+    """As `Judged` has them."""
 
     def fresh(self, standing: Collection[str]) -> Fresh:
         """Rows bound to the arm; raises CasacalError as `fresh_rows`, SamplesError for what is not finite."""
@@ -493,18 +477,11 @@ class Opened:
     def judged(self, fresh: Fresh, standing: tuple[str, ...]) -> Judged:
         """Record of these rows and of the calibration that they judge; `standing`: what has not moved."""
         verdict = self.arm.found.verdict
+        said = ("", "") if verdict is None else (verdict.level, verdict.words)
+        own = tuple(name for name, known in zip(fresh.bound.names, fresh.known, strict=True) if not known)
+        robot, rows, lines = self.source.problem.robot.name, self.rows, (self.copied, self.fitted)
         return Judged(
-            self.source.problem.robot.name,
-            self.arm.file,
-            ("", "") if verdict is None else (verdict.level, verdict.words),
-            self.rows.file,
-            self.rows.sha256,
-            len(self.rows),
-            tuple(name for name, known in zip(fresh.bound.names, fresh.known, strict=True) if not known),
-            standing,
-            self.copied,
-            self.fitted,
-            self.remarks,
+            robot, self.arm.file, said, rows.file, rows.sha256, len(rows), own, standing, *lines, self.remarks
         )
 
 
@@ -560,9 +537,8 @@ def measured_by(arm: CalibratedArm, samples: Any, instrument: str | None) -> str
 
 def same_arm(one: Robot, two: Robot) -> bool:
     """Whether two arms have the same parameters, and the same poses wherever these move a little."""
-    if [axis.turns for axis in one.axes] != [axis.turns for axis in two.axes] or set(one.parameters) != set(
-        two.parameters
-    ):
+    kinds = [[axis.turns for axis in each.axes] for each in (one, two)]
+    if kinds[0] != kinds[1] or set(one.parameters) != set(two.parameters):
         return False
     rng = np.random.default_rng(0)
     for q in random_joints(one, COMPARED, rng):
@@ -600,10 +576,8 @@ def fresh_among(arm: CalibratedArm, source: ProblemFile, rows: Samples, *, other
         said = "these are the rows" if reused.all() or not reused.any() else "half of the rows or more are those"
         fix = "Take fresh rows, in other postures"
         raise SamplesError(rows.file, f"{said} that the arm was calibrated from, which say nothing new", fix)
-    copied, fitted = (
-        tuple(int(some.lines[k]) for k in np.flatnonzero(which).tolist())
-        for some, which in ((rows, again), (once, reused))
-    )
+    copied = tuple(int(rows.lines[k]) for k in np.flatnonzero(again).tolist())
+    fitted = tuple(int(once.lines[k]) for k in np.flatnonzero(reused).tolist())
     fresh = once.take(np.flatnonzero(~reused))
     if other:
         return Opened(arm, source, fresh, copied, fitted, other, NOTHING.beyond)
@@ -613,15 +587,11 @@ def fresh_among(arm: CalibratedArm, source: ProblemFile, rows: Samples, *, other
         names = [name.split(".") for name in arm.found.unknowns]
         known = {name[-2] for name in names if len(name) > 2 and name[-3] in keys}
         if len(known) > 1:
-            remarks.append(
-                f"The rows have no column '{groups}' and count as one, while the calibration knows "
-                f"{listed(sorted(known))}: add the column if they are on several."
-            )
+            said = f"count as one, while the calibration knows {listed(sorted(known))}"
+            remarks.append(f"The rows have no column '{groups}' and {said}: add the column if they are on several.")
     before = data.fitted_rows
     repeats = 0 if before is None else int(in_fitted_postures(fresh, source.problem.layout(), before).sum())
     if repeats >= SPENT * len(fresh):  # even wrong parameters predict these
-        remarks.append(
-            f"{repeats} of {len(fresh)} rows are in postures that were fitted. They show that readings repeat, not "
-            "that the arm is right elsewhere: take rows in other postures."
-        )
+        said = "They show that readings repeat, not that the arm is right elsewhere: take rows in other postures."
+        remarks.append(f"{repeats} of {len(fresh)} rows are in postures that were fitted. {said}")
     return Opened(arm, source, fresh, copied, fitted, other, tuple(remarks))

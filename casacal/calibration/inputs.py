@@ -23,13 +23,7 @@ Method: TypeAlias = Callable[..., Result | Array]
 
 WORSE = 1e-9  # part of the drawing's cost by which an estimate may exceed it: rounding
 AGREEMENT = 1e-8  # largest relative gap between the costs of two solvers that found the same minimum
-NEGLIGIBLE = 1e-6
-"""A gap in cost that means nothing, however small the costs are.
-
-The cost is minus the logarithm of the posterior, so a gap g in it is a distance of sqrt(2 g) posterior standard
-deviations: here little more than a thousandth of one. Costs of data that fit exactly are rounding, and so
-is their ratio.
-"""
+NEGLIGIBLE = 1e-6  # a gap g in cost, however small the costs are: it is sqrt(2 g) posterior standard deviations away
 
 
 def problem_from(source: Any) -> ProblemFile:
@@ -68,8 +62,7 @@ def samples_from(data: Any, source: ProblemFile) -> Samples | Measurements:
 
 def samples_of(data: Any, source: ProblemFile, i: int) -> Samples:
     """Samples of instrument `i` of a problem; raises CasacalError."""
-    problem = source.problem
-    layout = problem.layout(i)
+    problem, layout = source.problem, source.problem.layout(i)
     if isinstance(data, Samples):
         data.check(layout)
         return data
@@ -133,12 +126,11 @@ def _judged(found: Result) -> Result:
     drawn = found.problem.feasible(found.problem.x0)
     if found.cost > replace(found, x=drawn, information=None).cost * (1 + WORSE):
         return replace(found, status=Status.WORSE)
-    if (
-        found.status is Status.ONE_PASS
-    ):  # is the minimum farther than its spread explains, a chi-square of all unknowns?
+    if found.status is Status.ONE_PASS:
         problem, normal = found.problem, found.problem.normal(found.x)
-        tied = problem.constraints is not None
-        step = (problem.constrained_step if tied else problem.damped_step)(found.x, normal, 0.0)
+        step_of = problem.damped_step if problem.constraints is None else problem.constrained_step
+        step = step_of(found.x, normal, 0.0)
+        # is the minimum farther than its spread explains, a chi-square of all unknowns?
         if step is not None and step.squared_length > problem.unknowns:
             return replace(found, status=Status.FAR)
     return found

@@ -1,9 +1,8 @@
 """Mirror images of an arm, which no touch can tell from it, and readings that fit either way round.
 
-Faces, spikes and wires tell distances, and a mirror keeps those. Many arms are their own image: if the axes lie in one
+Faces, spikes and wires tell distances, which a mirror keeps. Many arms are their own image: if the axes lie in one
 plane in some posture, joints 1, 4 and 6 counted the other way reflect every tip; others need half turns besides.
-Touches then fit to the last digit, joint targets are corrected rightly, and yet every Cartesian position is that of the
-image. Only poses off the pendant tell which of both it is.
+Touches then fit to the last digit, yet every Cartesian position is that of the image. Only poses off the pendant tell.
 """
 
 from __future__ import annotations
@@ -33,6 +32,11 @@ MORE_STEPS = 20  # than the arm itself takes, after which a pattern is no image:
 OF_A_ROW = 4.0  # cost that a further row may add
 SCATTER = 5.0  # noises by which readings must differ for their direction to matter
 MOST_FITS = 12  # patterns that are fitted, the simplest first
+DIAL_WAY = (  # what is open where readings fit either way; what it would mean, and settles it
+    "the touches do not tell in which direction the dial counts",
+    "Were its sign wrong in the problem, the arm would err by twice what it does as drawn. Touch three places again "
+    "with the arm 1 mm nearer, and calibrate with these touches as well",
+)
 
 
 def mirror_image(fit: BoundProblem) -> MirrorImage | None:
@@ -91,14 +95,6 @@ def either_way(fit: BoundProblem, every: Measurements | None = None) -> bool:
             if other.converged and other.cost <= most:
                 return True
     return False
-
-
-DIAL_WAY = (
-    "the touches do not tell in which direction the dial counts",
-    "Were its sign wrong in the problem, the arm would err by twice what it does as drawn. Touch three places again "
-    "with the arm 1 mm nearer, and calibrate with these touches as well",
-)
-"""What is open where readings fit either way, and what it would mean and settles it."""
 
 
 def mirrors(robot: Robot) -> tuple[Array, Array]:

@@ -30,8 +30,7 @@ from casacal.wording import figures, listed
 MEASURED = 1.0  # standard deviation, mm, with which people measure a tool
 DISTINGUISHED = 4.5  # cost, in units of the noise, by which rows tell two causes apart: three standard deviations
 CHANCE_OF_MOVE = 1e-3  # chance that a tool as stated moves so far, all its components together
-FAR = 2.0
-"""Prior standard deviations that a component must move: where the model is wrong, small moves look improbable, too."""
+FAR = 2.0  # prior standard deviations that a component must move: small moves look improbable where the model is wrong
 NO_DRAWING = 2.0  # mm by which no length of an arm differs from its drawing
 ANOTHER = 20.0  # standard deviations of a tool's prior by which a tool may differ that was exchanged or misread
 TOGETHER = 0.9  # correlation of a length and the tool, without sign, from which the rows see their sum alone
@@ -39,8 +38,7 @@ WIDE = {"rad": 0.1, "mm": 20.0}  # smallest prior under which `calibrate` tries 
 TWISTS = "alpha", "beta"  # angles of a DH table that no mastering moves
 WRONG = 5.0  # prior standard deviations from the drawing at which a number is another, not an error of manufacture
 SURE = 3.0  # standard deviations, with the noise as found, by which it must lie beyond
-ALONE = 16.0
-"""Times the others' mean by which what a number's prior costs must stand out: four standard deviations, squared."""
+ALONE = 16.0  # times the others' mean by which a number's prior cost must stand out: four standard deviations, squared
 SCALE, TOOL = "scale of the readings", "tool elsewhere"
 BY_CHANCE = 1e-4  # chance of a common scale, and more, where nothing scales lengths
 UNLIKELY = 1e-2  # the same, beyond which it is mentioned
@@ -101,29 +99,18 @@ def tool_elsewhere_at(bound: BoundProblem, x: Array, covariance: Array) -> list[
     Also where a length of the arm moved, under a wide prior, by as much as no drawing errs, and the tool elsewhere fits
     as well. Nothing for a held tool, or for one without a prior.
     """
-    moves = {
-        full[key]
-        for instrument, full in zip(bound.problem.instruments, bound.problem.full_names, strict=True)
-        if (probe := instrument.probe) is not None
-        for key in probe.moves
-    }
-    named = {
-        name: j
-        for slot in bound.slots
-        if slot.key in moves
-        for name, j, unit in zip(slot.unknown.names(slot.name), slot.columns, slot.unknown.units, strict=True)
-        if unit == "mm" and np.isfinite(bound.prior_std[j])
-    }
-    own = np.array(list(named.values()), dtype=np.intp)
+    pairs = zip(bound.problem.instruments, bound.problem.full_names, strict=True)
+    moves = {full[key] for each, full in pairs if each.probe is not None for key in each.probe.moves}
+    columns = [j for slot in bound.slots if slot.key in moves for j in slot.columns]
+    own = np.array([j for j in columns if bound.units[j] == "mm" and np.isfinite(bound.prior_std[j])], dtype=np.intp)
     far = (np.abs(x[own]) > FAR * bound.prior_std[own]).any()
     if not far or chance_of_move(bound, x, covariance, own) > CHANCE_OF_MOVE:
         return _length_for_tool(bound, x, covariance, own)
-    moved = ", ".join(f"{name} by {x[j]:+.2f} mm (its prior: {bound.prior_std[j]:.2g})" for name, j in named.items())
+    moved = ", ".join(f"{bound.names[j]} by {x[j]:+.2f} mm (its prior: {bound.prior_std[j]:.2g})" for j in own)
     cause = f"the samples put the tool in another place than the problem file does: {moved}"
     fix = "Measure the tool again, and correct its position or prior in the problem file"
-    if others := alike_numbers(
-        bound, [slot.key for slot in bound.slots if slot.key in moves and "mm" in slot.unknown.units]
-    ):
+    keys = [slot.key for slot in bound.slots if slot.key in moves and "mm" in slot.unknown.units]
+    if others := alike_numbers(bound, keys):
         cause += f"; or {'; '.join(others.values())}, which these samples cannot tell from it"
         fix = f"Measure the tool from the flange first; only if it is as stated, look at {listed(list(others), 'or')}"
     return [Finding("warning", "tool elsewhere", cause, fix)]
@@ -233,15 +220,11 @@ def _one_of_several(bound: BoundProblem, name: str, freed: Result, size: str) ->
     probe = problem.instrument.probe
     zero = " and the zero of the dial" if probe is not None and probe.column is not None else ""
     said = [f"{'the ' if title == 'tool' else ''}{title} ({by})" for title, by in rivals.items()]
-    cause = (
-        "one of these seems to differ from the problem file, and these samples cannot tell which: "
-        f"{'; '.join(said)}; {name} ({size.removeprefix(', ')})"
-    )
+    each = "; ".join([*said, f"{name} ({size.removeprefix(', ')})"])
+    cause = f"one of these seems to differ from the problem file, and these samples cannot tell which: {each}"
     first = f"the tool from the flange{zero} first" if "tool" in rivals else listed([*rivals, name])
-    fix = (
-        f"Measure {first}, and correct in the problem file only what proves to be wrong: another choice fits as well "
-        "and puts the flange elsewhere"
-    )
+    fix = f"Measure {first}, and correct in the problem file only what proves to be wrong"
+    fix += ": another choice fits as well and puts the flange elsewhere"
     return [Finding("error", f"{listed([*rivals, name], 'or')} elsewhere", cause, fix)]
 
 
@@ -272,10 +255,8 @@ def wrong_scale(bound: ArmProblem, x: Array, covariance: Array) -> list[Finding]
     cause += f"but a dial that shows {size} % too {'much' if found.part > 0 else 'little'} does that"
     declared = any("gain" in one.unknowns for one in dials)
     state = f"--prior gain={size}" if declared else f"gain=dial_gain({size}) of the instrument"
-    fix = (
-        "Have the dial calibrated, or touch a gauge block's step, which contains a length; or declare that the gain "
-        f"may be so wrong ({state}), so that the priors decide how large the arm is"
-    )
+    fix = "Have the dial calibrated, or touch a gauge block's step, which contains a length; or declare that the gain "
+    fix += f"may be so wrong ({state}), so that the priors decide how large the arm is"
     return [Finding("error", SCALE, cause, fix)]
 
 
@@ -300,12 +281,11 @@ def _likelihood(bound: BoundProblem) -> float:
 
 def _freed(problem: Problem, samples: Samples, *, name: str) -> Undone:
     """The number free of its prior, and where the samples put it, so that further fits begin there."""
-    key, unit = next((key, unit) for each, key, _, unit in priors_of(problem) if each == name)
     freed = problem.with_prior({name: math.inf})
-    fitted = quick_fit(freed, samples)
-    if fitted is None:
+    if (fitted := quick_fit(freed, samples)) is None:
         return Undone(problem, samples)
     bound, result = fitted
+    key, unit = next((key, unit) for each, key, _, unit in priors_of(problem) if each == name)
     by = float(result.x[bound.names.index(name)])
     return Undone(freed, samples, _by(problem, key, name, by), result.x, _tried(name, unit, by))
 
@@ -313,9 +293,8 @@ def _freed(problem: Problem, samples: Samples, *, name: str) -> Undone:
 def _by(problem: Problem, key: str, name: str, by: float) -> str:
     unknown = problem.robot.parameters[key]
     assert isinstance(unknown, Parameter)
-    drawn = unknown.nominal
-    assert drawn is not None
-    at = float(drawn[unknown.component_names(key).index(name)])
+    assert unknown.nominal is not None
+    at = float(unknown.nominal[unknown.component_names(key).index(name)])
     if unknown.unit == "rad":
         return f", by {figures(math.degrees(by), signed=True)} degrees from {figures(math.degrees(at), 6)}"
     return f", by {figures(by, 4, signed=True)} {unknown.unit} from {figures(at, 6)}"
@@ -330,5 +309,6 @@ def _tried(name: str, unit: str, by: float) -> str:
     """Option with a prior at least as wide as the deviation, in one digit, so that `calibrate` can try it."""
     if unit not in WIDE:
         return ""
-    digit = 10.0 ** math.floor(math.log10(max(abs(by), WIDE[unit])))
-    return f" (--prior {name}={math.ceil(max(abs(by), WIDE[unit]) / digit) * digit:g} tries it)"
+    most = max(abs(by), WIDE[unit])
+    digit = 10.0 ** math.floor(math.log10(most))
+    return f" (--prior {name}={math.ceil(most / digit) * digit:g} tries it)"

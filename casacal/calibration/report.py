@@ -10,41 +10,17 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from casacal.calibration import summary
+from casacal.calibration.brief import together
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.motion import Tried, tip_extremes
-from casacal.calibration.report_pictures import LOOKED_AT, Touches, face_maps, histograms, row_plots
-from casacal.calibration.result_json import closing as closing_part
-from casacal.calibration.result_json import geometry, image_words, noise_part, parameter_rows, verdict_lines
-from casacal.calibration.tables import (
-    constant_table,
-    correlation_table,
-    cure_table,
-    direction_table,
-    effect_table,
-    left_out_table,
-    parameters_table,
-    residual_table,
-)
+from casacal.calibration.report_pictures import LOOKED_AT, MAPS, POSTURES, Touches, pictures_of, workspace_maps
+from casacal.calibration.result_json import image_words, parameter_rows, verdict_lines
 from casacal.calibration.verdict import WithVerdict
 from casacal.deployment.result import Level
 from casacal.effects.selection import VERY_STRONG
 from casacal.errors import CasacalError
-from casacal.pages.drawing import (
-    Panel,
-    Scale,
-    axes,
-    cells,
-    count,
-    dots,
-    figure,
-    fixed,
-    in_squares,
-    line,
-    mm,
-    picture,
-    rendered,
-    shortened,
-)
+from casacal.pages.drawing import Scale, count, figure, fixed, mm, rendered, shortened
 from casacal.pages.space import space_fold
 from casacal.planning.cell_drawing import CellDrawing
 from casacal.planning.clearance import Clearance
@@ -58,18 +34,8 @@ from casacal.wording import METRE, capital, numbered_lines, sized
 MOST_FACES = 40  # faces with a line of their own
 SHOWN = 10  # rows listed
 LARGE = 4.0  # whitened residual beyond which fewer than one in ten thousand good rows lie
-SQUARES = 24  # squares along the longer side of a view
 MARKED = 240  # touches drawn on the maps, of all faces together
 IN_SPACE = 1500  # points of the map in space
-POSTURES = 8192  # random postures within the joint limits that the map is made of; a multiple of the kernels' block
-TITLES = {"error": "Expected tip error", "correction": "Correction"}
-CAPTIONS = {
-    "error": f"Expected tip error after calibration, from {POSTURES:,} random postures within the joint limits; "
-    "black dots are where it touched. Each square is the RMS over the postures that lead there. Verify where it is "
-    "dark before you rely on it.",
-    "correction": "How far the calibrated tip lies from the nominal one, apart from the position of the base: what "
-    "the calibration changes.",
-}
 LOOKS: Mapping[Level, str] = {"calibrated": "good", "use with care": "care", "do not use": "bad"}
 """How the page paints each level."""
 CONTENTS = "<!-- contents -->"
@@ -103,24 +69,21 @@ def worst_rows(each: Sequence[Touches]) -> dict[str, Any]:
     worst: list[tuple[float, int, list[str]]] = []
     beyond, calibration = 0, each[0].calibration
     for name, part in ((of.name, part) for of in each for part in of.parts):
-        white = np.abs(part.after / part.noise).max(axis=1)
-        beyond += int((white > LARGE).sum())
-        for i in np.argsort(-white, kind="stable")[:SHOWN].tolist():
-            component = int(np.argmax(np.abs(part.after[i] / part.noise[i])))
-            cells = [
-                f"{name} {part.lines[i]}".strip(),
-                "–" if part.labels is None else shortened(part.labels[i], 40),
-                "held\N{NO-BREAK SPACE}out" if part.held else "fitted",
-                fixed(float(part.after[i, component]), signed=True),
-                fixed(float(white[i]), 1),
-                "–" if part.held else fixed(float(part.weight[i]), 2),
-            ]
-            worst.append((-float(white[i]), int(part.lines[i]), cells))
+        white = np.abs(part.after / part.noise)
+        sizes = white.max(axis=1)
+        beyond += int((sizes > LARGE).sum())
+        for i in np.argsort(-sizes, kind="stable")[:SHOWN].tolist():
+            label = "–" if part.labels is None else shortened(part.labels[i], 40)
+            weight = "–" if part.held else fixed(float(part.weight[i]), 2)
+            off = fixed(float(part.after[i, int(np.argmax(white[i]))]), signed=True)
+            rows = "held\N{NO-BREAK SPACE}out" if part.held else "fitted"
+            cells = [f"{name} {part.lines[i]}".strip(), label, rows, off, fixed(float(sizes[i]), 1), weight]
+            worst.append((-float(sizes[i]), int(part.lines[i]), cells))
     worst.sort(key=lambda entry: entry[:2])
     titles = ["Line", capital(calibration.fit.problem.words.group), "Rows", "#Residual, mm"]
     titles += [f"#Times {calibration.noise_words}", *(["#Weight"] if calibration.result.loss is not None else [])]
-    rows = [cells[: len(titles)] for _, _, cells in worst[:SHOWN]]
-    return {"beyond": beyond, "large": f"{LARGE:g}", "columns": titles, "rows": rows}
+    rows_shown = [cells[: len(titles)] for _, _, cells in worst[:SHOWN]]
+    return {"beyond": beyond, "large": f"{LARGE:g}", "columns": titles, "rows": rows_shown}
 
 
 def _table(
@@ -131,10 +94,8 @@ def _table(
 
 def _columns(touches: Touches) -> list[dict[str, Any]]:
     """A table with the range of each column that the instrument read."""
-    spans = [
-        [name, fixed(float(values.min()), 3), fixed(float(values.max()), 3)]
-        for name, values in ((name, touches.samples.columns[name]) for name in touches.instrument.columns)
-    ]
+    read = {name: touches.samples.columns[name] for name in touches.instrument.columns}
+    spans = [[name, fixed(float(values.min()), 3), fixed(float(values.max()), 3)] for name, values in read.items()]
     titles = ["Column", "#Smallest", "#Largest"]
     return [_table(touches, "columns", "What the instrument read (mm, rad)", titles, spans)] if spans else []
 
@@ -182,8 +143,7 @@ def cell_found(calibration: Calibration) -> tuple[CalibratedCell, Cell] | None:
 
 def cell_as_found(calibration: Calibration) -> Markup | None:
     """The faces as they were found and touched, with the arm at its first touch; None where none are touched."""
-    there = cell_found(calibration)
-    if there is None:
+    if (there := cell_found(calibration)) is None:
         return None
     (found, cell), samples = there, calibration.fit.samples[0]
     readings = np.zeros(len(samples)) if found.probe.column is None else samples.columns[found.probe.column]
@@ -195,8 +155,7 @@ def cell_as_found(calibration: Calibration) -> Markup | None:
 
 def in_space(calibration: Calibration, workspace: Workspace) -> Markup | None:
     """The arm at its first touch, the faces as found, and the map of expected errors, in space; None without faces."""
-    there = cell_found(calibration)
-    if there is None:
+    if (there := cell_found(calibration)) is None:
         return None
     found, cell = there
     scale, rows = Scale.of_sizes(workspace.error), slice(None, None, len(workspace.tips) // IN_SPACE)
@@ -211,12 +170,11 @@ def expected_error(each: Sequence[Touches], box: Box | None) -> dict[str, Any]:
     """Rows of the table of figures, the largest correction, and maps of error and correction from two sides."""
     calibration = each[0].calibration
     workspace = Workspace.of(calibration)
-    faces = [
-        touches.places(label, max(MARKED // (len(each) * len(touches.faces)), 3))
-        for touches in each
-        for label in touches.faces[:MARKED]
-    ]
-    marks = np.vstack([np.zeros((0, 3)), *(places.tips for places in faces if places is not None)])
+    marks = [np.zeros((0, 3))]
+    for touches in each:
+        few = max(MARKED // (len(each) * len(touches.faces)), 3)
+        places = (touches.places(label, few) for label in touches.faces[:MARKED])
+        marks += [those.tips for those in places if those is not None]
     moved, worst = tip_extremes(calibration.motion, calibration.workspace)
     (before, now), (alone, missed) = calibration.tip_std, calibration.tip_std_without_prior
     unseen = f", {count(missed, 'direction')} unseen" if missed else ""
@@ -230,50 +188,11 @@ def expected_error(each: Sequence[Touches], box: Box | None) -> dict[str, Any]:
         rms, most = accuracy_in_box(motion.arm, motion.x, box, motion.off)
         ranges = ", ".join(f"{axis} {low:g} to {high:g}" for axis, (low, high) in zip("xyz", box, strict=True))
         rows.append([f"After, inside the box {ranges} mm", mm(rms), mm(most)])
-    error = _maps("error", "expected tip error, mm", workspace.error, workspace.tips, marks, box)
+    error = workspace_maps("error", "expected tip error, mm", workspace.error, workspace.tips, np.vstack(marks), box)
     words = "distance of the calibrated from the nominal tip, mm"
-    correction = _maps("correction", words, workspace.correction, workspace.tips, marks, box)
-    maps = [(TITLES["error"], error), (TITLES["correction"], correction)]
+    correction = workspace_maps("correction", words, workspace.correction, workspace.tips, np.vstack(marks), box)
+    maps = [(MAPS["error"][0], error), (MAPS["correction"][0], correction)]
     return {"rows": rows, "moved": moved, "maps": maps, "space": in_space(calibration, workspace)}
-
-
-def _maps(name: str, words: str, values: Array, tips: Array, marks: Array, box: Box | None) -> Markup:
-    """Values (N,) at tips from the side and from the top, where the box is drawn."""
-    scale, title = Scale.of_sizes(values), TITLES[name]
-    caption = CAPTIONS[name] + (" The black frame is the box that was asked for." if box is not None else "")
-
-    def view(side: str, points: Array, touched: Array, across: str, up: str, *drawn: Box) -> Markup:
-        squares = in_squares(points, values**2, SQUARES)
-        panel = Panel.square(
-            (float(squares.x.min()), float(squares.x.max()) + squares.side),
-            (float(squares.y.min()), float(squares.y.max()) + squares.side),
-        )
-        parts = [
-            cells(panel, squares.x[rows], squares.y[rows], squares.side, colour)
-            for colour, rows in scale.parts(np.sqrt(squares.values))
-        ]
-        frames = [
-            line(panel, np.array([x0, x1, x1, x0, x0]), np.array([y0, y0, y1, y1, y0]), "box")
-            for (x0, x1), (y0, y1), _ in drawn
-        ]
-        return picture(
-            f"{name}-{side}",
-            f"{title}, {side} view",
-            f"Root mean square by square of {squares.side:.0f} mm; from {mm(values.min())} to {mm(values.max())}.",
-            panel.height,
-            axes(panel, across, f"{side} view: {up}", upright=True),
-            *parts,
-            *(dots(panel, touched[:, 0], touched[:, 1], look) for look in ("touch-halo", "touch")),
-            *frames,
-        )
-
-    of_tips, of_marks = (np.column_stack([np.hypot(*each[:, :2].T), each[:, 2]]) for each in (tips, marks))
-    return figure(
-        caption,
-        view("side", of_tips, of_marks, "distance from the base's axis, mm", "height, mm"),
-        view("top", tips[:, :2], marks[:, :2], "x, mm", "y, mm", *([] if box is None else [box])),
-        key=scale.key(f"{name}-key", words, unbounded=not bool(np.isfinite(values).all())),
-    )
 
 
 @dataclass(frozen=True)
@@ -314,9 +233,10 @@ def report_page(
     """
     each = tuple(Touches.of(calibration, i) for i in range(len(calibration.fit.samples)))
     problem, verdict, denied = calibration.fit.problem, calibration.verdict, calibration.denied
-    noise, closing = noise_part(calibration.unjudged), closing_part(calibration.result, calibration.seconds)
-    parameters, held = parameters_table(calibration)
-    costly, harmless = direction_table(calibration)
+    parameters, held = summary.parameters_table(calibration)
+    costly, harmless = summary.direction_table(calibration)
+    known = Markup('<span class="known {}">{}</span>')  # who determined a parameter
+    marked = [[*row[:-1], known.format(row[-1].replace(" ", "-"), row[-1])] for row in parameters.rows]
     context = {
         "title": f"Calibration of {problem.robot.name} ({calibration.source.name})",
         "document": document,
@@ -335,30 +255,28 @@ def report_page(
         "verdict_lines": verdict_lines(calibration, verdict),
         "image": image_words(calibration, verdict),
         "figures": _figures(calibration),
-        "measured": [measured(touches, geometry(calibration.fit, calibration.used_x)["planes"]) for touches in each],
-        "residuals": residual_table(calibration),
-        "left_out": left_out_table(calibration),
-        "noise": noise,
-        "noise_words": _noise(calibration, noise),
+        "measured": [measured(touches, document["planes"]) for touches in each],
+        "residuals": summary.residual_table(calibration),
+        "left_out": summary.left_out_table(calibration),
+        "noise": document["noise"],
+        "noise_words": _noise(calibration, document["noise"]),
         "cell": cell_as_found(calibration),
-        "pictures": [
-            {"name": t.name, "histograms": histograms(t), "rows": row_plots(t), "faces": face_maps(t)} for t in each
-        ],
+        "pictures": [pictures_of(touches) for touches in each],
         "expected": None if denied else expected_error(each, box),
-        "parameters": parameters if denied else replace(parameters, rows=[_marked(row) for row in parameters.rows]),
+        "parameters": parameters if denied else replace(parameters, rows=marked),
         "held": held,
-        "correlations": None if denied else correlation_table(calibration),
-        "cures": None if denied else cure_table(calibration),
+        "correlations": None if denied else summary.correlation_table(calibration),
+        "cures": None if denied else summary.cure_table(calibration),
         "directions": costly,
         "harmless": harmless,
-        "constants": None if denied else constant_table(calibration),
-        "effects": effect_table(calibration),
+        "constants": None if denied else summary.constant_table(calibration),
+        "effects": summary.effect_table(calibration),
         "tried": _tried(calibration.tried),
         "very_strong": f"{VERY_STRONG:g}",
         "worst": worst_rows(each),
         "lines_aside": calibration.aside_lines,
-        "versions": ", ".join(f"{name} {version}" for name, version in closing["versions"].items()),
-        "seconds": ", ".join(f"{name} {value:.2f} s" for name, value in closing["seconds"].items()),
+        "versions": ", ".join(f"{name} {version}" for name, version in document["versions"].items()),
+        "seconds": ", ".join(f"{name} {value:.2f} s" for name, value in document["seconds"].items()),
     }
     return _with_contents(rendered("report.html", context))
 
@@ -377,8 +295,7 @@ def _counts(calibration: Calibration) -> dict[str, Any]:
     excluded = [f"{aside:,} set aside"] if aside else []
     excluded += [f"{copies:,} {'copy' if copies == 1 else 'copies'} left out"] if copies else []
     counts = [f"{len(calibration.fit.measured):,} fitted", f"{kept:,} held out", *excluded]
-    together = "" if calibration.heldout_by == "rows" or not kept else f" by {calibration.heldout_by}"
-    return {"counts": counts, "aside": excluded, "together": together}
+    return {"counts": counts, "aside": excluded, "together": together(calibration) if kept else ""}
 
 
 def _figures(calibration: WithVerdict) -> list[tuple[str, str, str]]:
@@ -409,19 +326,12 @@ def _figures(calibration: WithVerdict) -> list[tuple[str, str, str]]:
     ]
 
 
-def _marked(row: Sequence[str]) -> list[str]:
-    """A parameter's row with the mark of who determined it."""
-    return [*row[:-1], Markup('<span class="known {}">{}</span>').format(row[-1].replace(" ", "-"), row[-1])]
-
-
 def _noise(calibration: Calibration, noise: Mapping[str, Any]) -> str:
     faces = [face for face in noise["by_face"].values() if "unit" not in face]
     if not calibration.noise.scale or not faces:
         return "Every figure uses the noise as stated."
-    used, stated = (
-        " to ".join(dict.fromkeys(fixed(edge([face[key] for face in faces])) for edge in (min, max)))
-        for key in ("used_mm", "stated_mm")
-    )
+    each = ([face[key] for face in faces] for key in ("used_mm", "stated_mm"))
+    used, stated = (" to ".join(dict.fromkeys((fixed(min(sizes)), fixed(max(sizes))))) for sizes in each)
     rad, loose = noise["joints_rad"], noise["loose_joint"]
     what = f"joint {loose} alone that does not repeat, by" if loose else "a joint repeatability of"
     more = f" The pattern fits {what} {sized(rad, 'rad')}." if rad else ""
@@ -432,15 +342,10 @@ def _tried(tried: Sequence[Tried]) -> dict[str, Any]:
     """Table of the effects that could be corrected, and of those that are."""
     splits = list(dict.fromkeys(name for each in tried for name in each.unseen))
     yes = {None: "–", True: "yes", False: "no"}
-    rows = [
-        [
-            capital(each.words),
-            "by columns of the rows" if each.told else yes[each.corrected],
-            f"{each.evidence:.1f}",
-            *(f"{each.unseen[name]:.1f}" if name in each.unseen else "–" for name in splits),
-            yes[each.helps],
-        ]
-        for each in tried
-    ]
+    rows = []
+    for each in tried:
+        corrected = "by columns of the rows" if each.told else yes[each.corrected]
+        unseen = (f"{each.unseen[name]:.1f}" if name in each.unseen else "–" for name in splits)
+        rows.append([capital(each.words), corrected, f"{each.evidence:.1f}", *unseen, yes[each.helps]])
     gains = [f"#Gain, {name} left out" for name in splits]
     return {"columns": ["Effect", "Corrected", "#Gain, all rows", *gains, "Tip error smaller"], "rows": rows}

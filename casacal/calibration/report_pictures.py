@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from markupsafe import Markup
@@ -28,20 +28,20 @@ from casacal.pages.drawing import (
     figure,
     in_squares,
     line,
+    mm,
     nice_ceiling,
     picture,
     shortened,
     steps,
 )
-from casacal.values import Array
+from casacal.values import Array, Box, Index, Rows
 
 BINS = (15, 41)  # fewest and most bars, odd, so that one stands about zero
 BARS_REACH = 4.5  # robust standard deviations to which the axis goes
 NOISE_OF = 1500  # rows whose noise is looked at
 DRAWN = 1500  # points of one picture at most, but for the largest of each series
 LARGEST = 10  # rows of each series that thinning must not hide
-REACH = 8.0
-"""Robust standard deviations beyond which a residual stands at the edge, so that it does not flatten all others."""
+REACH = 8.0  # robust standard deviations beyond which a residual stands at the edge, not to flatten all others
 NAMED = 6  # series with their names under the axis
 MOST_SERIES = 200  # series that are drawn; of more, some are, evenly spread
 LINED = 30  # series with lines between them
@@ -50,16 +50,34 @@ FACE_SQUARES = 14  # squares along the longer side of a face
 MOST_MAPS = 12
 LOOKED_AT = 4096  # rows of a face, evenly spread, whose tips and tilts are looked at; a multiple of the kernels' block
 COORDINATES = "xyz"
+SQUARES = 24  # squares along the longer side of a view
+POSTURES = 8192  # random postures within the joint limits that a map is made of; a multiple of the kernels' block
+MAPS = {  # title and caption of each map of the workspace
+    "error": (
+        "Expected tip error",
+        f"Expected tip error after calibration, from {POSTURES:,} random postures within the joint limits; black dots "
+        "are where it touched. Each square is the RMS over the postures that lead there. Verify where it is dark "
+        "before you rely on it.",
+    ),
+    "correction": (
+        "Correction",
+        "How far the calibrated tip lies from the nominal one, apart from the position of the base: what the "
+        "calibration changes.",
+    ),
+}
 TITLES: Mapping[When, str] = {"before": "Before", "after": "After"}
+
+
+def pictures_of(touches: Touches) -> dict[str, Any]:
+    """All pictures of the rows of an instrument."""
+    maps = face_maps(touches)
+    return {"name": touches.name, "histograms": histograms(touches), "rows": row_plots(touches), "faces": maps}
 
 
 def histograms(touches: Touches) -> Markup:
     """Histograms of the residuals before and after, each on its own scale."""
-    held = (
-        " The orange outline is held-out rows, which the fit did not see; it should look like the bars."
-        if len(touches.parts) > 1
-        else ""
-    )
+    outline = " The orange outline is held-out rows, which the fit did not see; it should look like the bars."
+    held = outline if len(touches.parts) > 1 else ""
     caption = (
         "Histogram of the residuals, before (left or above) and after, each on its own scale; values beyond the axis "
         f"stand in the outermost bars.{held} The dark line is what the {touches.calibration.noise_words} predicts; "
@@ -82,8 +100,7 @@ def _histogram(touches: Touches, when: When) -> Markup:
 
         stds = np.concatenate([thinned(np.sort(part.noise.ravel()), NOISE_OF) for part in touches.parts])
         curve = 100 * np.diff(norm.cdf(edges[:, None] / stds).mean(axis=1))
-    top = 1.08 * max(float(np.concatenate([*shares, curve]).max()), 1.0)
-    panel = Panel((-half, half), (0.0, top))
+    panel = Panel((-half, half), (0.0, 1.08 * max(float(np.concatenate([*shares, curve]).max()), 1.0)))
     beyond = int((np.abs(everything) > half).sum())
     return picture(
         touches.named(f"histogram-{when}"),
@@ -131,9 +148,8 @@ def _by_row(touches: Touches, when: When) -> Markup:
             rows = rows[np.argsort(part.lines[rows], kind="stable")]
             if len(rows):
                 own = values[rows, k if several else 0]
-                kept = np.union1d(
-                    thinned(np.arange(len(rows)), most), np.argsort(-np.abs(own), kind="stable")[:LARGEST]
-                )
+                largest_of_it = np.argsort(-np.abs(own), kind="stable")[:LARGEST]
+                kept = np.union1d(thinned(np.arange(len(rows)), most), largest_of_it)
                 across.append(k + 0.06 + 0.88 * (kept + 0.5) / len(rows))
                 up.append(own[kept])
         x, y = np.concatenate(across), np.concatenate(up)
@@ -142,9 +158,8 @@ def _by_row(touches: Touches, when: When) -> Markup:
         beyond.append(dots(panel, x[~inside], top * np.sign(y[~inside]), "dot beyond"))
     order = "rows in file order" if touches.has_faces else "rows in file order, coordinate by coordinate"
     between = range(1, count) if count <= LINED else ()
-    longest = max(3, 48 // count)
     named = touches.series if count <= NAMED else ()
-    names = [(k + 0.5, shortened(name, longest)) for k, name in enumerate(named)]
+    names = [(k + 0.5, shortened(name, max(3, 48 // count))) for k, name in enumerate(named)]
     return picture(
         touches.named(f"rows-{when}"),
         f"{TITLES[when]}: residual of each row",
@@ -162,27 +177,22 @@ def face_maps(touches: Touches) -> Markup | None:
     """One map per face, all on one scale; None where rows touch no face."""
     if not touches.has_faces or touches.instrument.probe is None:
         return None
-    found = [(label, touches.places(label)) for label in touches.faces[:MOST_MAPS]]
-    maps = [
-        (label, p, in_squares(p.uv, p.residuals, FACE_SQUARES) if len(p.uv) > MOST_POINTS else None)
-        for label, p in found
-        if p is not None
-    ]
+    maps = []
+    for label in touches.faces[:MOST_MAPS]:
+        if (p := touches.places(label)) is not None:
+            means = in_squares(p.uv, p.residuals, FACE_SQUARES) if len(p.uv) > MOST_POINTS else None
+            maps.append((label, p, means))
     if not maps:
         return None
     scale = Scale.of_signs(np.concatenate([p.residuals if m is None else m.values for _, p, m in maps]))
-    pictures = [
-        _map(touches.named(f"face-{k}"), label, places, means, scale) for k, (label, places, means) in enumerate(maps)
-    ]
+    pictures = [_map(touches.named(f"face-{k}"), *each, scale) for k, each in enumerate(maps)]
     some, pointed = any(means for *_, means in maps), any(means is None for *_, means in maps)
     words = ["Residual after the fit over each face; u and v are seen from the tool."]
     if pointed and len(touches.parts) > 1:
         words.append("Square points are held-out rows.")
     if some:
         words.append("Where touches are many, each square is their mean.")
-    words.append(
-        "Patches of one colour: a face that is not flat or moved, or an effect that the model does not describe."
-    )
+    words += ["Patches of one colour: a face that is not flat or moved, or an effect that the model does not describe."]
     if len(touches.faces) > len(maps):
         words.append(f"{len(touches.faces) - len(maps)} more are not drawn.")
     key = scale.key(touches.named("face-key"), "residual after, mm")
@@ -202,22 +212,45 @@ def _map(name: str, label: str, places: Places, means: Squares | None, scale: Sc
         for held, look in ((False, "spot"), (True, "spot square")):
             here = rows[places.held[rows] == held]
             drawn.append(dots(panel, places.uv[here, 0], places.uv[here, 1], look, colour=colour))
-    return picture(
-        name,
-        f"Residual over face {label}",
-        f"{len(size):,} touches; the largest residual is {size.max():.4f} mm.",
-        panel.height,
-        axes(
-            panel,
-            "u, mm (level)" if places.upright else "u, mm (along the base's x)",
-            f"{shortened(label, 28)}: v, mm" + (" (up)" if places.upright else ""),
-            upright=True,
-        ),
-        *drawn,
+    across, up = ("(level)", " (up)") if places.upright else ("(along the base's x)", "")
+    frame = axes(panel, f"u, mm {across}", f"{shortened(label, 28)}: v, mm{up}", upright=True)
+    said = f"{len(size):,} touches; the largest residual is {size.max():.4f} mm."
+    return picture(name, f"Residual over face {label}", said, panel.height, frame, *drawn)
+
+
+def workspace_maps(name: str, words: str, values: Array, tips: Array, marks: Array, box: Box | None) -> Markup:
+    """Values (N,) at tips from the side and from the top, where the box is drawn."""
+    scale, title = Scale.of_sizes(values), MAPS[name][0]
+    caption = MAPS[name][1] + (" The black frame is the box that was asked for." if box is not None else "")
+
+    def view(side: str, points: Array, touched: Array, across: str, up: str, *drawn: Box) -> Markup:
+        squares = in_squares(points, values**2, SQUARES)
+        x, y = ((float(at.min()), float(at.max()) + squares.side) for at in (squares.x, squares.y))
+        panel, coloured = Panel.square(x, y), scale.parts(np.sqrt(squares.values))
+        parts = [cells(panel, squares.x[rows], squares.y[rows], squares.side, colour) for colour, rows in coloured]
+        frames = [
+            line(panel, np.array([x0, x1, x1, x0, x0]), np.array([y0, y0, y1, y1, y0]), "box")
+            for (x0, x1), (y0, y1), _ in drawn
+        ]
+        return picture(
+            f"{name}-{side}",
+            f"{title}, {side} view",
+            f"Root mean square by square of {squares.side:.0f} mm; from {mm(values.min())} to {mm(values.max())}.",
+            panel.height,
+            axes(panel, across, f"{side} view: {up}", upright=True),
+            *parts,
+            *(dots(panel, touched[:, 0], touched[:, 1], look) for look in ("touch-halo", "touch")),
+            *frames,
+        )
+
+    of_tips, of_marks = (np.column_stack([np.hypot(*each[:, :2].T), each[:, 2]]) for each in (tips, marks))
+    return figure(
+        caption,
+        view("side", of_tips, of_marks, "distance from the base's axis, mm", "height, mm"),
+        view("top", tips[:, :2], marks[:, :2], "x, mm", "y, mm", *([] if box is None else [box])),
+        key=scale.key(f"{name}-key", words, unbounded=not bool(np.isfinite(values).all())),
     )
 
-
-Rows: TypeAlias = NDArray[np.intp]
 
 When: TypeAlias = Literal["before", "after"]
 
@@ -257,12 +290,12 @@ class Part:
         """Group label of each row (N,); None for an instrument without groups."""
         return self.samples.labels.get(self.bound.problem.instruments[self.instrument].groups or "")
 
-    def rows_of(self, label: str) -> Rows:
+    def rows_of(self, label: str) -> Index:
         """Rows of one face."""
         return np.arange(len(self.after)) if self._rows is None else self._rows.get(label, np.zeros(0, dtype=np.intp))
 
     @cached_property
-    def _rows(self) -> dict[str, Rows] | None:
+    def _rows(self) -> dict[str, Index] | None:
         return None if self.labels is None else self.labels.rows()
 
 
@@ -272,10 +305,9 @@ class Places:
 
     tips: Array  # in the base frame at the estimate, (k, 3), mm
     tilts: Array  # angle between plunger and normal (k,), deg; empty for instruments without a plunger
-    uv: Array
-    """On the face (k, 2), mm from the middle of the touches: v is up on an upright face, else u along the base's x."""
+    uv: Array  # on the face (k, 2), mm from the middle: v is up on an upright face, else u along the base's x
     residuals: Array  # after, (k,), mm
-    held: NDArray[np.bool_]
+    held: Rows
     upright: bool
 
 
@@ -339,7 +371,7 @@ class Touches:
     def places(self, label: str, most: int = LOOKED_AT) -> Places | None:
         """Where a face was touched; None where its touches lie on a line, so that they have no u and v."""
         chosen = [thinned(part.rows_of(label), most) for part in self.parts]
-        touched = [_tips_and_plungers(part, rows) for part, rows in zip(self.parts, chosen, strict=True)]
+        touched = [*map(_tips_and_plungers, self.parts, chosen)]
         tips, plungers = (np.vstack(each) for each in zip(*touched, strict=True))
         plane = fitted_plane(tips)
         if not plane.flat:
@@ -352,14 +384,10 @@ class Touches:
         along /= np.linalg.norm(along)
         across = np.array([np.cross(along, outward), along] if upright else [along, np.cross(outward, along)])
         tilts = np.degrees(np.arccos(np.clip(np.abs(plungers @ normal), 0, 1))) if plungers.any() else np.zeros(0)
-        return Places(
-            tips=tips,
-            tilts=tilts,
-            uv=(tips - plane.centre) @ across.T,
-            residuals=np.concatenate([p.after[rows, 0] for p, rows in zip(self.parts, chosen, strict=True)]),
-            held=np.concatenate([np.full(len(rows), p.held) for p, rows in zip(self.parts, chosen, strict=True)]),
-            upright=upright,
-        )
+        pairs = [*zip(self.parts, chosen, strict=True)]
+        residuals = np.concatenate([part.after[rows, 0] for part, rows in pairs])
+        held = np.concatenate([np.full(len(rows), part.held) for part, rows in pairs])
+        return Places(tips, tilts, (tips - plane.centre) @ across.T, residuals, held, upright)
 
 
 def spread(values: Array) -> float:
@@ -367,14 +395,14 @@ def spread(values: Array) -> float:
     return 1.4826 * float(np.median(np.abs(values)))
 
 
-def thinned(rows: Rows, most: int) -> Rows:
+def thinned(rows: Index, most: int) -> Index:
     """At most `most` of the rows, evenly spread, with the first and the last."""
     if len(rows) <= most:
         return rows
     return rows[np.unique(np.linspace(0, len(rows) - 1, most).astype(np.intp))]
 
 
-def _tips_and_plungers(part: Part, rows: Rows) -> tuple[Array, Array]:
+def _tips_and_plungers(part: Part, rows: Index) -> tuple[Array, Array]:
     """Tips (k, 3; mm) of some rows, and directions of the plunger (k, 3), zero where there is none."""
     block = part.bound.blocks[part.instrument]
     pattern = block.pattern[rows]

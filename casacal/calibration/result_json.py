@@ -18,7 +18,7 @@ from casacal.calibration.calibration import Calibration, parts_of
 from casacal.calibration.motion import effect_keys, tip_error
 from casacal.calibration.verdict import WithVerdict, warnings
 from casacal.data.repeats import listing
-from casacal.data.samples import Measurements
+from casacal.data.samples import Measurements, Samples
 from casacal.deployment.as_data import problem_data
 from casacal.deployment.result import SCHEMA, Verdict
 from casacal.effects.effect import effects_of
@@ -52,12 +52,10 @@ def calibration_document(
         "null": [{**_picked(d, "kind", "words", "tip_mm", "structural"), "cure": next(cures)} for d in found.null],
         "weak": [{**_picked(d, "words", "singular_value", "tip_mm"), "cure": next(cures)} for d in found.weak],
     }
-    document["cures"] = [
-        _picked(cure, "words", "touches", "expected_rms_mm", "recommended") for cure in calibration.cures
-    ]
-    document["dial_errors"] = [
-        _picked(error, "key", "words", "chance", "size", "unit", "shown") for error in calibration.dial_errors
-    ]
+    keys = ("words", "touches", "expected_rms_mm", "recommended")
+    document["cures"] = [_picked(cure, *keys) for cure in calibration.cures]
+    keys_of_error = ("key", "words", "chance", "size", "unit", "shown")
+    document["dial_errors"] = [_picked(error, *keys_of_error) for error in calibration.dial_errors]
     document["trusted_constants"] = [asdict(each) for each in calibration.leverages]
     pairs = correlated_pairs(calibration.covariance, calibration.seen.names)
     document["correlations"] = [{"names": [one, two], "value": value} for one, two, value in pairs]
@@ -65,16 +63,19 @@ def calibration_document(
     document["prior_moves"] = asdict(calibration.prior_moves)
     document["set_aside"] = [asdict(finding) for finding in calibration.aside]
     document["down_weighted_lines"] = calibration.down_weighted
-    document |= _constraints(calibration)
-    document["reference"] = (
-        None
-        if reference is None
-        else {
-            **_picked(reference, "solver", "cost", "relative_gap"),
-            "kkt": reference.result.kkt,
-            "iterations": reference.result.steps,
-        }
-    )
+    if (
+        known := calibration.fit.constraints
+    ) is not None:  # range of each, the estimate in it, and what holds that there
+        result, values = calibration.result, known.evaluate(calibration.result.x)[0].tolist()
+        at, rows = dict(zip(known.names, values, strict=True)), list[dict[str, Any]]()
+        for each in (each for each in calibration.fit.problem.exact if each.name in at):
+            pull = {"multiplier": result.multipliers[each.name], "active": each.name in result.active}
+            rows.append({**_picked(each, "name", "unit", "low", "high"), "value": at[each.name], **pull})
+        document["constraints"] = rows
+    document["reference"] = None
+    if reference is not None:
+        ended = {"kkt": reference.result.kkt, "iterations": reference.result.steps}
+        document["reference"] = {**_picked(reference, "solver", "cost", "relative_gap"), **ended}
     return sealed(document)
 
 
@@ -90,9 +91,7 @@ def found_part(
         **head_of(source or calibration.source, result, calibration.seed, fit.backend, folder),
         "verdict": asdict(calibration.verdict),
         "data": {
-            "file": relative_to(folder, samples.file),
-            "sha256": samples.sha256,
-            "samples": len(samples),
+            **rows_file(samples, folder),
             "heldout": 0 if calibration.heldout is None else len(calibration.heldout.measured),
             "heldout_by": calibration.heldout_by,
             "fitted": len(fit.measured),
@@ -121,21 +120,15 @@ def _fitted_rows(calibration: Calibration, folder: Path | None) -> dict[str, Any
     fit, measured, earlier = calibration.fit, Measurements.of(calibration.samples), calibration.earlier
     rows = [listing(some, fit.problem.layout(i)) for i, some in enumerate(fit.samples)]
     if len(rows) > 1:
-        sets = {
-            name: {
-                "file": relative_to(folder, some.file),
-                "sha256": some.sha256,
-                "samples": len(some),
-                "fitted": len(fit.samples[i]),
-                "fitted_rows": rows[i],
-            }
-            for i, (name, some) in enumerate(zip(measured.names, measured.sets, strict=True))
-        }
-        return {"instruments": sets}
-    own, before = rows[0], None if earlier is None else earlier.fitted_rows
-    if before is not None and before["columns"] == own["columns"]:
-        own = {**own, "rows": before["rows"] + own["rows"], "values": [*before["values"], *own["values"]]}
-    return {"fitted_rows": own}
+        instruments = {}
+        for name, some, own, these in zip(measured.names, measured.sets, fit.samples, rows, strict=True):
+            instruments[name] = {**rows_file(some, folder), "fitted": len(own), "fitted_rows": these}
+        return {"instruments": instruments}
+    fitted, before = rows[0], None if earlier is None else earlier.fitted_rows
+    if before is not None and before["columns"] == fitted["columns"]:
+        values = [*before["values"], *fitted["values"]]
+        fitted = {**fitted, "rows": before["rows"] + fitted["rows"], "values": values}
+    return {"fitted_rows": fitted}
 
 
 def _fitted_columns(calibration: Calibration, *, amounts: bool = False) -> dict[str, Array]:
@@ -175,13 +168,12 @@ def _columns(calibration: Calibration) -> dict[str, Any]:
     if not calibration.told:
         return {"usual": usual} if usual else {}
     known, amounts = _fitted_columns(calibration), _fitted_columns(calibration, amounts=True)
+    ends = {name: (float(values.min()), float(values.max())) for name, values in amounts.items()}
     return {
         "usual": usual,
         "mean": {name: float(values.mean()) for name, values in known.items()},
         "spread": {name: float(values.std()) for name, values in known.items()},
-        "range": {
-            name: {"lowest": float(values.min()), "highest": float(values.max())} for name, values in amounts.items()
-        },
+        "range": {name: {"lowest": low, "highest": high} for name, (low, high) in ends.items()},
         "further": {each.key: list(each.further) for each in calibration.tried if each.told},
     }
 
@@ -207,45 +199,36 @@ def image_words(calibration: Calibration, verdict: Verdict) -> list[str]:
 def head_of(source: ProblemFile, result: Result, seed: int, backend: str, folder: Path | None) -> dict[str, Any]:
     """The head of result.json in a folder; of a document that stays in memory where there is none."""
     files = [{**asdict(file), "path": relative_to(folder, file.path)} for file in source.files]
+    about = {"name": source.name, "path": relative_to(folder, source.path), "sha256": source.sha256, "files": files}
     try:
         arm = problem_data(source.problem)
     except CasacalError as error:
         arm = None
         _LOG.warning("casacal: the result needs its problem file, for it cannot hold the arm: %s", error)
-    return {
-        "schema": SCHEMA,
-        "problem": {
-            "name": source.name,
-            "path": relative_to(folder, source.path),
-            "sha256": source.sha256,
-            "files": files,
-        },
-        "arm": arm,
-        "method": result.method,
-        "status": result.message,
-        "converged": result.converged,
-        "seed": seed,
-        "backend": backend,
-    }
+    found = {"method": result.method, "status": result.message, "converged": result.converged}
+    return {"schema": SCHEMA, "problem": about, "arm": arm, **found, "seed": seed, "backend": backend}
 
 
 def _earlier(calibration: Calibration, folder: Path | None) -> dict[str, Any]:
     """The earlier result, and how the rows agree with it; empty where the drawing was the prior."""
-    earlier = calibration.earlier
-    if earlier is None:
+    if (earlier := calibration.earlier) is None:
         return {}
-    return {
-        "earlier": {
-            "result": relative_to(folder, earlier.file),
-            "sha256": earlier.sha256,
-            "verdict": asdict(earlier.verdict),
-            "expected_rms_mm": earlier.expected_mm,
-            "standing": earlier.standing,
-            "loosened": dict(earlier.loosened),
-            "chance": calibration.earlier_chance,
-            "left_out_lines": earlier.left_out,
-        }
+    found = {
+        "result": relative_to(folder, earlier.file),
+        "sha256": earlier.sha256,
+        "verdict": asdict(earlier.verdict),
+        "expected_rms_mm": earlier.expected_mm,
+        "standing": earlier.standing,
+        "loosened": dict(earlier.loosened),
+        "chance": calibration.earlier_chance,
+        "left_out_lines": earlier.left_out,
     }
+    return {"earlier": found}
+
+
+def rows_file(rows: Samples | Measurements, folder: Path | None) -> dict[str, Any]:
+    """The file of some rows, its hash, and how many it holds."""
+    return {"file": relative_to(folder, rows.file), "sha256": rows.sha256, "samples": len(rows)}
 
 
 def relative_to(folder: Path | None, file: str) -> str:
@@ -316,23 +299,19 @@ def _discrepancy(calibration: Calibration) -> dict[str, Any] | None:
         {**asdict(each), "shown": each.shown, "moves": moves[each.key], "times": each.size / each.expected_size}
         for each in calibration.effect_sizes
     ]
-    places = {name: j for j, name in enumerate(fit.names)}
-    unknowns = [
-        {"name": name, "effect": effect, "value": float(calibration.result.x[places[name]])}
-        for name, effect in zip(motion.arm.names, effect_keys(motion.arm), strict=True)
-        if effect
-    ]
+    at, of_arm = dict(zip(fit.names, calibration.result.x.tolist(), strict=True)), effect_keys(motion.arm)
+    pairs = zip(motion.arm.names, of_arm, strict=True)
+    unknowns = [{"name": name, "effect": effect, "value": at[name]} for name, effect in pairs if effect]
     names, off = list(motion.arm.names), np.zeros(motion.x.size) if motion.off is None else motion.off
     denied = bool(np.isnan(motion.covariance).any())
     known = {} if denied else {"covariance_of": names, "off": off, "covariance": motion.covariance}
     tried = [asdict(each) | {"corrected": each.corrected} for each in calibration.tried]
     corrected = list(calibration.corrected)
     parts: dict[str, Any] = {"effects": effects, "tried": tried, "corrected": corrected, "unknowns": unknowns}
-    if calibration.corrected:  # the arm for those who cannot correct an effect, and the tip error to expect of it
+    if corrected:  # the arm for those who cannot correct an effect, and the tip error to expect of it
         alone = zip(fit.names, calibration.uncorrected_x, fit.beside, strict=True)
         parts["without_corrections"] = [{"name": n, "value": float(value)} for n, value, effect in alone if not effect]
-        error = math.nan if denied else tip_error(fit, calibration.result, ())
-        parts["expected_rms_mm_without_corrections"] = error
+        parts["expected_rms_mm_without_corrections"] = math.nan if denied else tip_error(fit, calibration.result, ())
     if calibration.told:
         parts["expected_rms_mm_without_columns"] = math.nan if denied else _without_columns(calibration)
     return {**parts, **known, **_columns(calibration)}
@@ -341,18 +320,6 @@ def _discrepancy(calibration: Calibration) -> dict[str, Any] | None:
 def _picked(of: object, *names: str) -> dict[str, Any]:
     """Some attributes of a value, by name."""
     return {name: getattr(of, name) for name in names}
-
-
-def _constraints(calibration: Calibration) -> dict[str, Any]:
-    """Constraints of the problem: their range, where the estimate is in it, and what holds it; empty without any."""
-    known, result = calibration.fit.constraints, calibration.result
-    if known is None:
-        return {}
-    values = dict(zip(known.names, known.evaluate(result.x)[0].tolist(), strict=True))
-    pulls = {name: {"multiplier": result.multipliers[name], "active": name in result.active} for name in known.names}
-    rows = [each for each in calibration.fit.problem.exact if each.name in values]
-    keys = ("name", "unit", "low", "high")
-    return {"constraints": [{**_picked(r, *keys), "value": values[r.name], **pulls[r.name]} for r in rows]}
 
 
 def geometry(bound: BoundProblem, x: Array) -> dict[str, Any]:
@@ -375,15 +342,11 @@ def geometry(bound: BoundProblem, x: Array) -> dict[str, Any]:
 
 def closing(result: Result, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Effort, time and versions."""
+    versions = {"casadi": metadata.version("casadi"), "numpy": np.__version__, "python": platform.python_version()}
     return {
         "evaluations": {"residual_rows": result.residual_rows, "jacobian_rows": result.jacobian_rows},
         "seconds": dict(seconds),
-        "versions": {
-            "casacal": __version__,
-            "casadi": metadata.version("casadi"),
-            "numpy": np.__version__,
-            "python": platform.python_version(),
-        },
+        "versions": {"casacal": __version__, **versions},
     }
 
 

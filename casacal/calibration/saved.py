@@ -77,10 +77,12 @@ class SavedCalibration(Value, AsArm):
 
     def __repr__(self) -> str:
         expected = "" if math.isnan(self.tip_std[1]) else f", expected tip error {figures(self.tip_std[1])} mm RMS"
-        return (
-            f"<casacal calibration of {self.found.source.problem.robot.name} by {self.found.found.method}, read from "
-            f"{self.found.file}{expected}{'' if self.found.denial is None else ', do not use'}>"
+        who, denied = (
+            f"{self.found.source.problem.robot.name} by {self.found.found.method}",
+            self.found.denial is not None,
         )
+        said = f"{expected}{', do not use' if denied else ''}"
+        return f"<casacal calibration of {who}, read from {self.found.file}{said}>"
 
 
 def load(path: str | Path, *, problem: Problem | None = None) -> SavedCalibration:

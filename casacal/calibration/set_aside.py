@@ -26,24 +26,21 @@ from casacal.values import Array, Index, Rows
 from casacal.wording import counted, figures
 
 FEWEST_OF_A_FACE = 12  # rows of a face that can tell how rough it is
-WORTH_A_LOOK = 0.05
-"""Chance of the largest residual of a plain fit, were all normal, below which a robust fit looks for outliers."""
+WORTH_A_LOOK = 0.05  # chance of the largest residual of a plain, normal fit below which a robust fit looks for outliers
 REGION = 0.1  # part of a face's spread of touches within which these are of one region
 ALONG = math.cos(math.radians(10))  # of the angle up to which plungers stand alike
 SHARED_BY_FEW = 15.0  # standard deviations beyond which a row is wrong even where its neighbours are off as well
 CHANCE = 1e-4  # chance that a clean set has any row called an outlier (Bonferroni)
 FLIPPED_ROWS, OUTLIERS = "orientation flipped", "outliers"
 FLIPPED = 0.3  # chord of the least turn by which the two poses of a marker differ
-TURNS_MM = (1.0, 0.5, 2.54, 0.2)
-"""Length that one turn of a pointer shows, by dials on sale; several turns are only looked for of the first."""
+TURNS_MM = (1.0, 0.5, 2.54, 0.2)  # of a pointer, by dials on sale; several turns are only looked for of the first
 SHORT_TRAVEL = 2.0  # travel (mm) up to which a dial has turns of less than half a millimetre
 MOST_TURNS = 3
 SURE = 4.0  # standard deviations within which a reading must then fit
 SMALL = 1e-4  # step of the finite difference, mm
 MOST = 0.1  # part of the rows that may be set aside; where more are wrong, it is not single rows that are
 ROUNDS = 3  # fits without the rows found before: large outliers hide small ones
-WORTH_ANOTHER_LOOK = 10.0
-"""Standard deviations from a fit without it up to which a row is asked once more whether it belongs."""
+WORTH_ANOTHER_LOOK = 10.0  # standard deviations from a fit without it up to which a row is tested once more
 SUBSETS = 300  # random planes through three tips tried for the least median of squares
 JUDGES = 5_000  # tips, drawn at random, whose median judges them
 GROSS = 8.0  # times the robust scatter beyond which a nominal tip is not on its plane at all
@@ -154,9 +151,8 @@ def single_rows(bound: BoundProblem, result: Result, found: Outliers) -> list[Fi
             findings.append(Finding("error", "lost revolution", cause, fix, lines, name))
         explained = {k for rows in turns.values() for k in rows}
         if angle := _turned_alone(bound, result, own, found.limit * found.scale, i):
-            cause = (
-                f"position fits, and the orientation alone is off, by {angle}, as of a marker seen another way round"
-            )
+            cause = f"position fits, and the orientation alone is off, by {angle}, "
+            cause += "as of a marker seen another way round"
             fix = "Take the other of the two poses that the marker allows, or remove these rows"
             lines = tuple(sorted(samples.lines[k] for k in own))
             findings.append(Finding("error", FLIPPED_ROWS, cause, fix, lines, name))
@@ -177,9 +173,8 @@ def _turned_alone(bound: BoundProblem, result: Result, rows: Sequence[int], most
     if not rows or set(units) != {"mm", "rad"} or (own.stop - own.start) % units.size:
         return ""
     sizes = bound.residual(result.x)[own].reshape(-1, units.size)[rows]
-    chords = np.linalg.norm(
-        bound.plain_residual(result.x)[own].reshape(-1, units.size)[rows][:, units == "rad"], axis=1
-    )
+    plain = bound.plain_residual(result.x)[own].reshape(-1, units.size)[rows]
+    chords = np.linalg.norm(plain[:, units == "rad"], axis=1)
     if np.abs(sizes[:, units == "mm"]).max() > most or chords.min() < FLIPPED:
         return ""
     angles = np.degrees(2 * np.arcsin(np.minimum(chords / 2, 1)))
@@ -232,8 +227,7 @@ def gross(bound: BoundProblem, *, drawn: BoundProblem | None = None) -> tuple[Ro
     stray, findings = off_their_face(drawn, prior_scatter(drawn, flat_counts=True).rms)
     bad = stray.copy()
     for _ in range(ROUNDS):
-        rest = _without(bound, bad)
-        if rest is None:
+        if (rest := _without(bound, bad)) is None:
             return none, ()
         found = _outliers(rest)
         if not found.any():
@@ -291,8 +285,7 @@ def _outliers(bound: BoundProblem) -> Rows:
 
 def _taken_back(bound: BoundProblem, bad: Rows, stray: Rows) -> Rows:
     """Rows (N,) that stay aside after those near the fit are tested once more."""
-    rest = _without(bound, bad)
-    if rest is None:
+    if (rest := _without(bound, bad)) is None:
         return bad
     *_, sizes, _ = _judged(rest, bound)
     again = bad & ~stray & (sizes < WORTH_ANOTHER_LOOK)
@@ -301,15 +294,11 @@ def _taken_back(bound: BoundProblem, bad: Rows, stray: Rows) -> Rows:
         return bad
     held: Rows = bad & ~again
     held[np.flatnonzero(~held)[_outliers(more)]] = True
-    held &= bad
-    return held
+    return held & bad
 
 
 def _judged(rest: BoundProblem, whole: BoundProblem) -> tuple[BoundProblem, Result, Array, float]:
-    """All rows with the noise that the rest shows, and a fit of the rest alone.
-
-    Then the largest standardised residual (N,) of each row, and the largest that chance explains.
-    """
+    """All rows with the noise of the rest, a fit of the rest, standardised residuals (N,), the most by chance."""
     result = lm(rest)
     noise = 1.4826 * float(np.median(np.abs(rest.residual(result.x))))
     judged = rest.on(*whole.samples).with_noise(times(rest.scale, max(noise, 1.0)))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from casacal.calibration.result_json import closing, geometry, head_of, relative_to, rows_of, spreads
+from casacal.calibration.result_json import closing, geometry, head_of, rows_file, rows_of, spreads
 from casacal.data.samples import Samples, write_samples
 from casacal.errors import CasacalError
 from casacal.files import sealed, side_by_side, write_json
@@ -58,15 +58,9 @@ def truth_document(simulation: Simulation, source: ProblemFile, bound: BoundProb
     truth = Result("truth", bound, x, Status.TRUTH, {}, steps=0, residual_rows=0, jacobian_rows=0)
     rows = rows_of(bound, x, np.zeros(bound.unknowns), ["simulation"] * bound.unknowns)
     names = arm_alone(bound, x)[0].names
-    data = {
-        "file": relative_to(folder, samples.file),
-        "sha256": samples.sha256,
-        "samples": len(samples),
-        "heldout": 0,
-    }
     return {
         **head_of(source, truth, simulation.seed, bound.backend, folder),
-        "data": data,
+        "data": {**rows_file(samples, folder), "heldout": 0},
         "cost": truth.cost,
         "parameters": [{**row, "known_from": "simulation"} for row in rows],
         **geometry(bound, x),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -34,24 +35,20 @@ NOISE_BAND = (0.9, 1.1)  # found over stated noise: an interval outside this ban
 IMPROBABLE = 0.005  # chance below which a drawn arm that misses the planes by so little contradicts its priors
 TOO_TIGHT = 1e-4  # chance of moves as large as these, all together, below which the priors are too tight for this arm
 SETTLED = 0.1  # expected tip error over that before, below which the samples decide, however loose the priors
-
 SHOWN = 6
 DECLARE = "have the dial calibrated, or declare the error as unknown (gain=dial_gain(1) or cycle= of the instrument)"
-
 VERIFY = "touch in other postures, and check with casacal verify whether the result holds there"
 WIDEN = f"state wider priors (--accuracy, --prior) if the arm may be so far from its drawing; otherwise {VERIFY}"
-REPEAT = (
+REPEAT = (  # settles a doubt of unknown cause
     "touch some places three times each, which separates the scatter of touches from errors of the model; or state "
     "the noise, if it is known to be larger (--set noise_std=MM)"
 )
-"""Step that settles a doubt of unknown cause."""
 GAIN = 0.9  # expected tip error over the one before, above which little was gained
 WORSE = 1.1  # residual after over before, on the very rows that were fitted, above which calibrating made the arm worse
 EXPLAINED = 0.5  # residual after over before, above which a fit that does not reach the noise has explained nothing
 BENT = 10.0  # prior standard deviations by which no arm differs from its drawing; who knows better states wider priors
 FARTHEST = 1e5  # mm or rad beyond which a number of an arm wandered off; result.schema.json takes none so large
-TOO_LOOSE = 1e-3
-"""Chance below which a drawn arm that misses so little contradicts its priors, and these must not decide."""
+TOO_LOOSE = 1e-3  # chance below which a drawn arm that misses so little contradicts its priors: they must not decide
 USELESS = 20.0  # mm; an arm as drawn and a tool held against a rule err by less, so such a tip is not calibrated
 LITTLE_TURNED = 20.0  # degrees between postures below which a tool is hardly seen
 WORSE_IF_LOOSE = 0.005  # chance of a tip worse than as drawn, above which an arm with a loose joint is refused
@@ -59,11 +56,9 @@ LIKELY_WORSE = 0.1  # the same chance, above which any other arm is doubted
 UNNAMED = (OUTLIERS, "misfit")  # findings that name no cause, as which a loose joint looks to the data check
 MEND = "have it mended, then measure again"
 AS_DRAWN = "the rows hardly differ from those of the arm as drawn: unless a gauge stood still, or they are a plan's, "
-MEMBER = 1e-3
-"""Part of a direction's length above which a parameter takes part in it."""
+MEMBER = 1e-3  # part of a direction's length above which a parameter takes part in it
 LEAST_SHOWN = 0.01  # millimetres below which nobody asks how little a tip errs
-LEFT_TO_PRIORS = 0.5
-"""Expected tip error over the one before, above which the priors decide more of it than the samples."""
+LEFT_TO_PRIORS = 0.5  # expected tip error over the one before, above which priors decide more of it than samples
 OVERSTATED = 0.3  # found over stated noise, surely below which rows count for a tenth of what they are worth
 CERTIFIED = 4.0  # standard deviations from what rows and priors say beyond which a certificate is not of this arm
 CONTRADICTED = 1e-3  # chance below which new rows do not fit what an earlier result knows
@@ -92,7 +87,7 @@ def doubts(calibration: Calibration) -> list[Doubt]:
         return []
     drawn = calibration.earlier is None  # what is known beforehand is not the drawing
     return [
-        *(_dial_way(calibration) if drawn else _since_earlier(calibration)),
+        *_known_before(calibration),
         *_held_or_left_out(calibration),
         *(_far_parameters(calibration) if drawn else ()),
         *_samples(calibration),
@@ -102,18 +97,13 @@ def doubts(calibration: Calibration) -> list[Doubt]:
     ]
 
 
-def _dial_way(calibration: Calibration) -> Iterator[Doubt]:
-    """A doubt about the sign of a dial that no reading shows."""
-    if calibration.either_way:
-        clause, rest = DIAL_WAY
-        yield Doubt(clause, f"{capital(clause)}. {rest}.", "touch three places again with the arm 1 mm nearer")
-
-
-def _since_earlier(calibration: Calibration) -> Iterator[Doubt]:
-    """A doubt inherited from the earlier result, or caused by what was loosened since."""
-    earlier = calibration.earlier
-    assert earlier is not None
-    if earlier.loosened:
+def _known_before(calibration: Calibration) -> Iterator[Doubt]:
+    """Doubts about a dial's sign that no reading shows; inherited from the earlier result, or of what was loosened."""
+    if (earlier := calibration.earlier) is None:
+        if calibration.either_way:
+            clause, rest = DIAL_WAY
+            yield Doubt(clause, f"{capital(clause)}. {rest}.", "touch three places again with the arm 1 mm nearer")
+    elif earlier.loosened:
         what = listed(list(earlier.loosened))
         clause = f"{what} may have changed, and no fresh rows have verified since that nothing else did"
         yield Doubt(clause, f"{capital(clause)}. Verify with rows in other postures.", VERIFY)
@@ -151,9 +141,8 @@ def _held_or_left_out(calibration: Calibration) -> Iterator[Doubt]:
 
 
 def _far_parameters(calibration: Calibration) -> Iterator[Doubt]:
-    moved, names = calibration.moves, calibration.fit.names
+    moved, names, together = calibration.moves, calibration.fit.names, calibration.prior_moves
     far = [j for j in np.argsort(-moved) if moved[j] > FAR]
-    together = calibration.prior_moves
     if not far and together.chance > TOO_TIGHT:
         return
     factor = f"{together.factor:.1f} times as far as their priors allow"
@@ -162,19 +151,16 @@ def _far_parameters(calibration: Calibration) -> Iterator[Doubt]:
         named = shortened([f"{names[j]} ({moved[j]:.1f})" for j in far], SHOWN)
         said = f"Parameters moved by more than {FAR:g} prior standard deviations: {named}. "
         said += f"Together they moved {factor}"
+    clause = "parameters moved far beyond their priors"
     if calibration.borne_out:
-        elsewhere = sorted(calibration.borne_out)
-        said += f". Regions of postures that were left out bear out that {listed(elsewhere)} of this arm "
-        said += f"differ{'s' if len(elsewhere) == 1 else ''} from the drawing"
-        wider = f"correct {listed(elsewhere)} in the problem file, or state wider priors (--prior, --accuracy)"
-        yield Doubt("parameters moved far beyond their priors", f"{said}. {capital(wider)}.", wider)
+        elsewhere = listed(sorted(calibration.borne_out))
+        said += f". Regions of postures that were left out bear out that {elsewhere} of this arm "
+        said += f"differ{'s' if len(calibration.borne_out) == 1 else ''} from the drawing"
+        wider = f"correct {elsewhere} in the problem file, or state wider priors (--prior, --accuracy)"
+        yield Doubt(clause, f"{said}. {capital(wider)}.", wider)
         return
-    yield Doubt(
-        "parameters moved far beyond their priors",
-        f"{said}. Either these priors are too tight for this arm (--accuracy, --prior), or the "
-        f"samples are wrong; {_what_check_says(calibration)}.",
-        WIDEN if calibration.suspicious else "",
-    )
+    said += ". Either these priors are too tight for this arm (--accuracy, --prior), or the samples are wrong"
+    yield Doubt(clause, f"{said}; {_what_check_says(calibration)}.", WIDEN if calibration.suspicious else "")
 
 
 def _what_check_says(calibration: Calibration) -> str:
@@ -199,8 +185,7 @@ def _samples(calibration: Calibration) -> Iterator[Doubt]:
     if said := " ".join(str(each).removeprefix("warning: ") for each in alike):
         step = "write one label where they are the same, and calibrate again"
         yield Doubt("some labels hardly differ from others", capital(said), step)
-    again = calibration.noise.repeats
-    if again is not None and again.shared:
+    if (again := calibration.noise.repeats) is not None and again.shared:
         yield Doubt(
             "the fit misses repeated touches by more than they scatter",
             f"Repeated touches at {again.places} places scatter by {times(again.ratio)} times the stated noise; the "
@@ -226,6 +211,7 @@ def _noise(calibration: Calibration) -> Iterator[Doubt]:
         advice = "The stated noise is too large, and so are the standard deviations. Lower noise_std."
         yield Doubt("the stated noise is too large", f"{said}. {advice}")
         return
+    advice = "The standard deviations are too small by about that factor. Raise noise_std, or find the cause."
     if noise.scale:
         factors = {name: fit.scale[name] for name in parts_of(fit) if name in fit.scale}
         more = [f"{name} {factor:.2g}" for name, factor in factors.items() if factor > NOISE_BAND[1]]
@@ -239,8 +225,6 @@ def _noise(calibration: Calibration) -> Iterator[Doubt]:
         )
         if rad > 0 and not joint:
             advice += f" The pattern fits a joint repeatability of {sized(rad, 'rad')}."
-    else:
-        advice = "The standard deviations are too small by about that factor. Raise noise_std, or find the cause."
     yield Doubt(
         "the residuals exceed the stated noise",
         f"{said}. Either the noise is larger than stated, or the model leaves something out. {advice}",
@@ -250,16 +234,14 @@ def _noise(calibration: Calibration) -> Iterator[Doubt]:
 
 def _loose(joint: int, rad: float) -> str:
     """A clause on a joint that alone does not repeat."""
-    return (
-        f"joint {joint} does not repeat: it errs by {sized(rad, 'rad')} (standard deviation) from touch to touch, as "
-        "with play in its gear, which no calibration removes"
-    )
+    errs = f"it errs by {sized(rad, 'rad')} (standard deviation) from touch to touch"
+    return f"joint {joint} does not repeat: {errs}, as with play in its gear, which no calibration removes"
 
 
 def counts_back(calibration: Calibration) -> bool:
     """Whether rows that were set aside fit with all others where the dial counts the other way."""
-    open_way = calibration.aside and calibration.either_way
-    return bool(open_way) and either_way(calibration.fit, Measurements.of(calibration.samples))
+    open_way = bool(calibration.aside) and calibration.either_way
+    return open_way and either_way(calibration.fit, Measurements.of(calibration.samples))
 
 
 def broken(calibration: Calibration) -> str:
@@ -355,11 +337,9 @@ def larger_than_any(calibration: Calibration) -> Doubt | None:
 def verdict_of(calibration: Calibration) -> Verdict:
     """Whether to use a result; what speaks against it decides, the weightiest first."""
     calibration = calibration.unjudged
-    against = _against(calibration)
-    if against:
-        return Verdict(
-            "do not use", f"Do not use this result: {against[0][0]}.", tuple(reason for _, reason in against)
-        )
+    if against := _against(calibration):
+        reasons = tuple(reason for _, reason in against)
+        return Verdict("do not use", f"Do not use this result: {against[0][0]}.", reasons)
     if not calibration.fit.unknowns:
         said = "every unknown is held, so nothing was estimated"
         words = f"Use with care: {said}; the residuals are those of the arm as drawn."
@@ -400,20 +380,15 @@ def _expected(calibration: Calibration) -> str:
     least = "at least " if calibration.noise.low > NOISE_BAND[1] and not calibration.noise.scale else ""
     alone = "" if any(calibration.fit.beside) else " and nothing errs beside the geometry"
     trusted = f"apart from the base's position, if {calibration.assumed} are right{alone}"
-    tool = calibration.hidden_tool
-    if tool is not None:
-        return (
-            f"expect a flange error of {least}{mm(flange)} RMS over the workspace (before: {mm(drawn)}), {trusted}. "
-            f"The tip error of {mm(now)} is mostly the tool's: these samples hardly show {listed(tool.names)} "
-            f"(standard deviation {mm(tool.std_mm)}). Measure it; once it is known, expect {mm(tool.tip_mm)}."
-        )
+    if (tool := calibration.hidden_tool) is not None:
+        said = f"expect a flange error of {least}{mm(flange)} RMS over the workspace (before: {mm(drawn)}), {trusted}. "
+        said += f"The tip error of {mm(now)} is mostly the tool's: these samples hardly show {listed(tool.names)} "
+        return f"{said}(standard deviation {mm(tool.std_mm)}). Measure it; once it is known, expect {mm(tool.tip_mm)}."
     names = calibration.fit.problem.names
     whose = f" ({names[0]})" if len(names) > 1 else ""
     at_flange = f" and {mm(flange)} at the flange" if math.isfinite(flange) else ""
-    return (
-        f"expect a tip error{whose} of {least}{mm(now)} RMS over the workspace (before: {mm(before)})"
-        f"{at_flange}, {trusted}."
-    )
+    sizes = f"{least}{mm(now)} RMS over the workspace (before: {mm(before)})"
+    return f"expect a tip error{whose} of {sizes}{at_flange}, {trusted}."
 
 
 def _against(calibration: Calibration) -> list[tuple[str, str]]:
@@ -423,15 +398,22 @@ def _against(calibration: Calibration) -> list[tuple[str, str]]:
     # what is held as drawn, or certified of another arm, may look like wrong samples
     looks = (certificate_contradicted, held_as_drawn, earlier_contradicted, _out_of_reach)
     found = [(clause, sentence(clause)) for look in looks if (clause := look(calibration))]
-    found += [
-        (f"the samples look wrong ({error.about})", sentence(str(error).removeprefix("error: ").removesuffix(".")))
-        for error in wrong_with_samples(calibration)
-    ]
+    for error in wrong_with_samples(calibration):
+        said = str(error).removeprefix("error: ").removesuffix(".")
+        found.append((f"the samples look wrong ({error.about})", sentence(said)))
     if not found and counts_back(calibration):
         clause = "the dial counts the other way: with its sign reversed in the problem, no row would be set aside"
         found.append((clause, sentence(clause)))
-    if not calibration.result.converged:
-        found.append(_unfinished(calibration))
+    if not calibration.result.converged:  # unbounded directions are the reason where there are any
+        flat, names = ~np.isfinite(calibration.bare.prior_std), calibration.bare.names
+        null = [np.flatnonzero(np.abs(each.direction) > MEMBER) for each in calibration.identifiability.null]
+        loose = [names[members[0]] for members in null if flat[members].all()]
+        clause, said = "the method did not finish", calibration.result.message
+        if loose:
+            clause = f"neither the samples nor a prior hold {counted(len(loose), 'combination')} of parameters"
+            them = "it" if len(loose) == 1 else "them"
+            said = f"Give a prior to {listed(loose)} (--prior {loose[0]}=STD), or hold {them} (--fix)."
+        found.append((clause, said))
     for look in (_missed_minimum, *((unexplained, priors_contradicted) if calibration.earlier is None else ())):
         if (not found or look is _missed_minimum) and (clause := look(calibration)):
             found.append((clause, sentence(clause)))
@@ -442,8 +424,8 @@ def _against(calibration: Calibration) -> list[tuple[str, str]]:
         fit, covariance = calibration.fit, calibration.covariance
         places = [(name, j) for name, unit, _, j in fit.parameters() if j is not None and unit == "mm"]
         stds = {name: math.sqrt(covariance[j, j]) for name, j in places}
-        loose = sorted((name for name in stds if stds[name] > USELESS / 2), key=lambda name: -stds[name])
-        which = f"The samples hardly show {listed(loose)}" if loose else "The samples show too little of the arm"
+        unsure = sorted((name for name in stds if stds[name] > USELESS / 2), key=lambda name: -stds[name])
+        which = f"The samples hardly show {listed(unsure)}" if unsure else "The samples show too little of the arm"
         turned = math.degrees(most_turned(fit))
         little = f" These postures turn the tool by at most {figures(turned, 2)} degrees."
         why = f"{which}.{little if turned < LITTLE_TURNED else ''}"
@@ -454,10 +436,9 @@ def _against(calibration: Calibration) -> list[tuple[str, str]]:
 
 def certificate_contradicted(calibration: Calibration) -> str:
     """Why a certified quantity is not that of the arm that was measured; empty where none is at odds with the rest."""
-    far = [each for each in certificates(calibration) if abs(each.off) > CERTIFIED]
-    if not far:
+    worst = max(certificates(calibration), key=lambda each: abs(each.off), default=None)
+    if worst is None or not abs(worst.off) > CERTIFIED:
         return ""
-    worst = max(far, key=lambda each: abs(each.off))
     return (
         f"'{worst.name}', certified as {worst.value:g} {worst.unit}, contradicts rows and priors: without it they say "
         f"{worst.otherwise:.6g}, {abs(worst.off):.1f} standard deviations away; look whether it is of this arm, and "
@@ -526,21 +507,6 @@ def wrong_with_samples(calibration: Calibration) -> tuple[Finding, ...]:
     return tuple(without_its_likes([*(error for error in found if error.about not in reported), *own]))
 
 
-def _unfinished(calibration: Calibration) -> tuple[str, str]:
-    """Reason of a method that did not finish: unbounded directions where there are any, else its own message."""
-    flat = ~np.isfinite(calibration.bare.prior_std)
-    null = [np.abs(each.direction) > MEMBER for each in calibration.identifiability.null]
-    loose = [members for members in null if flat[members].all()]
-    if not loose:
-        return "the method did not finish", calibration.result.message
-    names = [calibration.bare.names[int(np.flatnonzero(members)[0])] for members in loose]
-    them = "it" if len(names) == 1 else "them"
-    return (
-        f"neither the samples nor a prior hold {counted(len(loose), 'combination')} of parameters",
-        f"Give a prior to {listed(names)} (--prior {names[0]}=STD), or hold {them} (--fix).",
-    )
-
-
 def _missed_minimum(calibration: Calibration) -> str:
     """Why the estimate is not the minimum; empty where it is.
 
@@ -556,10 +522,8 @@ def _missed_minimum(calibration: Calibration) -> str:
         return f"the costs of {calibration.method} and {reference.solver} differ, so one of them missed the minimum"
     if 2 * (calibration.result.cost - reference.cost) <= calibration.fit.unknowns:
         return ""
-    return (
-        f"{calibration.method} ended at a cost of {calibration.result.cost:.4g}, far above the {reference.cost:.4g} "
-        f"that {reference.solver} found"
-    )
+    least = f"the {reference.cost:.4g} that {reference.solver} found"
+    return f"{calibration.method} ended at a cost of {calibration.result.cost:.4g}, far above {least}"
 
 
 def _out_of_reach(calibration: Calibration) -> str:
@@ -568,8 +532,8 @@ def _out_of_reach(calibration: Calibration) -> str:
     far = [name for name, by in moved.items() if not abs(by) < FARTHEST]
     if not far or not calibration.result.converged:
         return ""
-    said = f"{far[0]} moved by {moved[far[0]]:.3g}, as no arm does"
-    return f"{said}: neither samples nor a prior hold it (--prior {far[0]}=STD)"
+    why = f"neither samples nor a prior hold it (--prior {far[0]}=STD)"
+    return f"{far[0]} moved by {moved[far[0]]:.3g}, as no arm does: {why}"
 
 
 def held_as_drawn(calibration: Calibration) -> str:
@@ -612,10 +576,8 @@ def earlier_contradicted(calibration: Calibration) -> str:
         return ""
     loosened = listed(list(calibration.earlier.loosened))
     what = f"something else than {loosened} has changed" if loosened else "something has changed"
-    return (
-        f"these rows contradict the earlier result ({chance(chance_of_rows)}): {what}, or rows are wrong. casacal "
-        "changed looks for it; name it with --loosen (loosen=), or calibrate anew"
-    )
+    said = f"these rows contradict the earlier result ({chance(chance_of_rows)}): {what}, or rows are wrong. casacal "
+    return f"{said}changed looks for it; name it with --loosen (loosen=), or calibrate anew"
 
 
 def priors_contradicted(calibration: Calibration) -> str:
@@ -636,18 +598,43 @@ def priors_contradicted(calibration: Calibration) -> str:
     as_drawn = before * drawn["rmse_mm"] / scatter.rms if scatter.rms > 0 else math.inf
     if math.isfinite(before) and now > as_drawn and scatter.chance_below(drawn["rmse_mm"]) < TOO_LOOSE:
         if calibration.noise.high < OVERSTATED:
-            said = times(1 / calibration.noise.ratio)
             planned = AS_DRAWN if drawn["rmse_mm"] < LEAST_SHOWN else ""
-            said = f"the stated noise is {said} times what the rows show"
+            said = f"the stated noise is {times(1 / calibration.noise.ratio)} times what the rows show"
             return f"{planned}{said}, so that they hardly count; state it as it is"
-        return (
-            f"{AS_DRAWN}the priors are too loose for this arm: they allow a tip error of {mm(before)} as drawn, but "
-            f"its residuals suggest about {mm(max(as_drawn, LEAST_SHOWN))}, which is less than these priors leave "
-            "after calibrating (--accuracy, --prior)"
-        )
+        said = f"{AS_DRAWN}the priors are too loose for this arm: they allow a tip error of {mm(before)} as drawn, but "
+        said += f"its residuals suggest about {mm(max(as_drawn, LEAST_SHOWN))}, which is less than these priors leave "
+        return f"{said}after calibrating (--accuracy, --prior)"
     if far <= FAR or now <= LEFT_TO_PRIORS * before:
         return ""
-    return (
-        f"the samples move parameters by up to {far:.0f} prior standard deviations, so these priors do not fit this "
-        "arm, and yet most of the tip error depends on them"
-    )
+    said = f"the samples move parameters by up to {far:.0f} prior standard deviations, so these priors do not fit this "
+    return f"{said}arm, and yet most of the tip error depends on them"
+
+
+def repair(calibration: Calibration, check: str) -> str:
+    """What to do about a refused result, as a clause, and empty where only a cure helps; `check`: the data check."""
+    if counts_back(calibration):
+        return "reverse the sign of the dial in the problem (--set sign=-1 or sign=1 tries it), and calibrate again."
+    if broken(calibration):
+        return f"{MEND}."
+    reference, wrong = calibration.reference, wrong_with_samples(calibration)
+    if held_as_drawn(calibration):
+        return "free it, or state in the problem where it is, and calibrate again."
+    if calibration.earlier is not None and earlier_contradicted(calibration):
+        rows = f"casacal changed {calibration.earlier.file} {calibration.samples.file}"
+        return f"run {rows}, which says what has changed; then name that with --loosen."
+    if wrong:
+        for name in re.findall(r"--set (\S+?)=", wrong[0].fix):  # what is to be set otherwise is not set so again
+            check = re.sub(rf" --set {re.escape(name)}=\S+", "", check)
+        return f"{lower(wrong[0].fix)}; then run {check}."
+    if not calibration.result.converged:
+        return f"run {check}, which looks closer at the samples; or try another way to the minimum, --method lm."
+    if reference is not None and not reference.agrees:
+        if minimises(calibration.method):
+            return f"run {check}; then compare the costs of --method lm and --method ipopt, and keep the lower one."
+        return "use --method lm or sckf-lm, which go to the minimum."
+    if (clause := priors_contradicted(calibration)) and not unexplained(calibration):
+        look = "look whether these readings were measured; then " if clause.startswith(AS_DRAWN) else ""
+        return f"{look}state priors that fit the arm (--accuracy MM, --prior NAME=STD), and calibrate again."
+    if math.isfinite(calibration.tip_std[1]):
+        return f"run {check}, which looks closer at the samples."
+    return ""

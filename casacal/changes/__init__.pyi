@@ -1,3 +1,3 @@
 """Public names of this chapter and the modules that define them; `__init__.py` reads them from here when it runs."""
 
-from casacal.changes.change import Change as Change
+from casacal.changes.changed import Change as Change

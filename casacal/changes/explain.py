@@ -1,7 +1,7 @@
-"""Which cause explains fresh rows: each is a set of directions in which rows would move.
+"""Which cause explains fresh rows: each is a set of directions in which rows, whitened to unit covariance, would move.
 
-Rows are whitened to unit covariance. Each cause is fitted with the earlier posterior as the prior; its evidence is the
-likelihood at its best, less Occam's factor for changes of a usual size. Which of N rows is off costs log N.
+Each cause is fitted with the earlier posterior as the prior; its evidence is the likelihood at its best, less Occam's
+factor for changes of a usual size. Which of N rows is off costs log N.
 """
 
 from __future__ import annotations
@@ -11,17 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fdtri, ndtri
 
 from casacal.calibration.fresh import BASE, BASE_TURN, JOINTS, TOOL, TURN, Fresh, shift_columns, with_shifts
-from casacal.changes.change import Change
-from casacal.data.samples import Layout, Samples
+from casacal.data.samples import Samples
 from casacal.errors import CasacalError
-from casacal.files import MADE, write_text
 from casacal.fit.bound_problem import BoundProblem
 from casacal.fit.least_squares import Conditioned, Gaussian
 from casacal.fit.lm import lm
@@ -29,13 +25,27 @@ from casacal.linalg import svd
 from casacal.model.problem import Problem
 from casacal.planning.candidates import pool_of
 from casacal.planning.clearance import drawn_touch
-from casacal.planning.route import FIT, postures_text, shortest_way
+from casacal.planning.route import shortest_way
 from casacal.simulation.cell import Cell, Face
 from casacal.uncertainty.fresh_rows import FreshRows, chance, chances, covariance_root, likelihood, occam, visible_basis
-from casacal.values import Array
+from casacal.values import Array, Index
 
-USUAL = {"rad": 3e-3, "mm": 3.0}
-"""Scale of a plausible change: by it a cause of one number is preferred to one of six that explains as much."""
+USUAL = {"rad": 3e-3, "mm": 3.0}  # plausible changes, by which one number is preferred to six that explain as much
+DRAWS = 20_000  # sets of rows of an arm that has not changed: the rate of false alarms is met to 0.0007 at 1 %
+AT_ONCE = 4_000_000  # numbers that are drawn at once
+SPARE = 1e-6  # part of a row's residual that must be left to it for it to be judged by the others
+POWER = 0.9  # chance with which a change must be found to count as one that these rows would have shown
+NEVER = {"rad": 0.05, "mm": 50.0}  # a shift that nobody overlooks: what shows only beyond it does not show
+OFF = 100.0  # times its noise by which a row usually is off: a turn of a pointer, 1 mm of 0.01 mm, was not counted
+SURE = 0.95  # part of the evidence from which on one cause is the one
+ANYWHERE, STAYS = 100.0, 1e-3  # usual changes that what shows may be off by, and what does not show
+STEPS = 60  # of the fit of a cause: the right one needs five, and a wrong one may creep along a valley for ever
+UNEXPLAINED = 0.01  # chance of what a cause leaves unexplained, below which it is not the whole of it
+UNUSUAL = 5.0  # usual changes, of 3 mrad or 3 mm each, beyond which one is not believed where another explains as much
+NAMED = 0.02  # part of the evidence below which a cause is none of those that remain
+POOL = 400  # touches among which is chosen
+WIDER = 1.5  # size of a face over the way between its touches: one can touch again there, and a little beside
+LEAST = 20.0  # side of a face, mm, that has hardly been touched
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +58,7 @@ class Cause:
 
     name: str
     kind: str
-    columns: NDArray[np.intp]
+    columns: Index
     units: tuple[str, ...]
     labels: tuple[str, ...]
     place: int = -1
@@ -61,11 +71,11 @@ class Cause:
 
 def causes_of(fresh: Fresh, shifted: BoundProblem) -> tuple[Cause, ...]:
     """Every joint, the tool, the base, and each unknown that was declared as standing."""
-    found = []
-    joints = shift_columns(shifted, JOINTS)
-    for i, (axis, column) in enumerate(zip(shifted.problem.robot.axes, joints, strict=True)):
-        unit = "rad" if axis.turns else "mm"
-        found.append(Cause(f"joint {i + 1}", "joint", np.array([column]), (unit,), ("zero",), i))
+    joints = enumerate(zip(shifted.problem.robot.axes, shift_columns(shifted, JOINTS), strict=True))
+    found = [
+        Cause(f"joint {i + 1}", "joint", np.array([column]), ("rad" if axis.turns else "mm",), ("zero",), i)
+        for i, (axis, column) in joints
+    ]
     labels = ("x", "y", "z", "about x", "about y", "about z")
     turns_show = any(block.unit == "rad" for block in shifted.problem.instrument.blocks)  # as of a body's pose
     for name, keys in (("tool", (TOOL, TURN) if turns_show else (TOOL,)), ("base", (BASE, BASE_TURN))):
@@ -79,13 +89,6 @@ def causes_of(fresh: Fresh, shifted: BoundProblem) -> tuple[Cause, ...]:
         names = tuple(name.removeprefix(slot.name).lstrip("._") for name in slot.unknown.names(slot.name))
         found.append(Cause(slot.name, "place", columns, tuple(slot.unknown.units), names))
     return tuple(found)
-
-
-DRAWS = 20_000  # sets of rows of an arm that has not changed: the rate of false alarms is met to 0.0007 at 1 %
-AT_ONCE = 4_000_000  # numbers that are drawn at once
-SPARE = 1e-6  # part of a row's residual that must be left to it for it to be judged by the others
-POWER = 0.9  # chance with which a change must be found to count as one that these rows would have shown
-NEVER = {"rad": 0.05, "mm": 50.0}  # a shift that nobody overlooks: what shows only beyond it does not show
 
 
 def alone(fresh: FreshRows, k: int, per_row: int) -> Array:
@@ -155,8 +158,7 @@ class AllTests:
         residuals: (D, m), whitened.
         """
         squares = (residuals @ self._every) ** 2
-        ends = np.cumsum(self.freedoms).astype(np.intp)
-        parts = np.split(squares, ends, axis=1)
+        parts = np.split(squares, np.cumsum(self.freedoms).astype(np.intp), axis=1)
         by_cause = np.column_stack([part.sum(axis=1) for part in parts[:-1]]) if self.bases else parts[-1][:, :0]
         by_row = parts[-1].reshape(len(residuals), len(self.rows), -1).sum(axis=2)
         inside = residuals - (residuals @ self.fresh.basis) @ self.fresh.basis.T
@@ -165,11 +167,9 @@ class AllTests:
     def chances(self, falls: Sequence[Array]) -> tuple[Array, Array, Array]:
         """Chance of each fall; of single rows times as many as there are (Bonferroni)."""
         by_cause, by_row, everything = falls
-        return (
-            chances(by_cause, self.freedoms, self.noise),
-            np.minimum(self.judged * chances(by_row, self.row_freedoms, self.noise), 1.0),
-            chances(everything, float(self.fresh.freedom), self.noise),
-        )
+        of_rows = np.minimum(self.judged * chances(by_row, self.row_freedoms, self.noise), 1.0)
+        whole = chances(everything, float(self.fresh.freedom), self.noise)
+        return chances(by_cause, self.freedoms, self.noise), of_rows, whole
 
     def smallest(self, residuals: Array, noise: Array | float = 1.0) -> Array:
         """Smallest chance (D,) of whitened residuals (D, m); noise: found over true, a scalar or (D,)."""
@@ -225,7 +225,7 @@ class Look:
 
     def without(self, row: int, alarm: float, seed: int) -> Look:
         """The look with one row left out."""
-        kept: NDArray[np.intp] = np.delete(np.arange(len(self.fresh.bound.block.samples)), row)
+        kept: Index = np.delete(np.arange(len(self.fresh.bound.block.samples)), row)
         fewer = replace(self.fresh, bound=self.fresh.bound.take(kept.tolist()))
         return Look.at(fewer, self.tests.noise, alarm, seed, self.shifted.on(fewer.bound.block.samples))
 
@@ -240,14 +240,10 @@ class Look:
         """Whether the smallest chance is below the level."""
         return self.smallest < self.level
 
-    def observable(self, k: int) -> bool:
-        """Whether a cause shows in these rows at all."""
-        return bool(self.tests.freedoms[k] > 0)
-
     def found_from(self, k: int) -> float:
         """Shift of a joint (rad, mm) that raises the alarm with a chance of 90 %; infinite where none does."""
         length = float(np.linalg.norm(self.slopes[k]))
-        if not self.observable(k) or not length:
+        if not self.tests.freedoms[k] or not length:
             return math.inf
         level, noise = max(self.level, 1e-12), self.tests.noise
         if math.isfinite(noise):
@@ -257,17 +253,6 @@ class Look:
             least, spread = -float(ndtri(level / 2)), 1.0
         size = (least + float(ndtri(POWER)) * spread) / length
         return size if size <= NEVER[self.causes[k].units[0]] else math.inf
-
-
-OFF = 100.0
-"""Times its noise by which a row that is off usually is: a turn of a pointer that was not counted, 1 mm of 0.01 mm."""
-
-SURE = 0.95  # part of the evidence from which on one cause is the one
-ANYWHERE, STAYS = 100.0, 1e-3  # usual changes that what shows may be off by, and what does not show
-STEPS = 60  # of the fit of a cause: the right one needs five, and a wrong one may creep along a valley for ever
-UNEXPLAINED = 0.01  # chance of what a cause leaves unexplained, below which it is not the whole of it
-UNUSUAL = 5.0  # usual changes, of 3 mrad or 3 mm each, beyond which one is not believed where another explains as much
-NAMED = 0.02  # part of the evidence below which a cause is none of those that remain
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,9 +287,8 @@ class Explanation:
     @property
     def far(self) -> bool:
         """Whether it would have changed by far more than is plausible."""
-        if self.cause is None or self.fitted is None:
-            return False
-        return bool((np.abs(self.fitted.shift) > UNUSUAL * self.cause.sizes).any())
+        cause, fitted = self.cause, self.fitted
+        return cause is not None and fitted is not None and bool((np.abs(fitted.shift) > UNUSUAL * cause.sizes).any())
 
 
 def explanations(look: Look, *, linear: bool = False) -> list[Explanation]:
@@ -317,7 +301,7 @@ def explanations(look: Look, *, linear: bool = False) -> list[Explanation]:
     p_cause, p_row, _ = tests.p
     found = []
     for k, cause in enumerate(look.causes):
-        if not look.observable(k):
+        if not tests.freedoms[k]:  # it does not show in these rows
             continue
         n, cost = int(tests.freedoms[k]), occam(look.slopes[k], cause.sizes)
         fitted, chi_square, p = None, nothing - float(by_cause[k]), float(p_cause[k])
@@ -340,10 +324,7 @@ def explanations(look: Look, *, linear: bool = False) -> list[Explanation]:
 
 
 def _fitted(look: Look, cause: Cause, used: Array) -> tuple[FittedCause, float]:
-    """A cause at its best with all that the calibration knows, and chi-square there.
-
-    used: directions (k, n) of its unknowns along which it shows; along others it stays where it was.
-    """
+    """A cause at its best, along directions `used` (k, n) that show, with all that is known, and chi-square there."""
     fresh, n = look.fresh, look.fresh.bound.unknowns
     names = tuple(look.shifted.names[j] for j in cause.columns)
     free = ANYWHERE**2 * used @ used.T + STAYS**2 * np.diag(cause.sizes**2)
@@ -386,20 +367,10 @@ def _judged(look: Look, chi_square: float, freedom: int, cost: float) -> tuple[f
     return chance(chi_square, whole - freedom, noise), likelihood(chi_square, whole, noise) - cost
 
 
-POOL = 400  # touches among which is chosen
-WIDER = 1.5
-"""Size of a face over the way between its touches: where somebody touched, one can touch again, and a little beside."""
-
-LEAST = 20.0  # side of a face, mm, that has hardly been touched
-
-
 def telling(
     problem: Problem, look: Look, found: list[Explanation], count: int, seed: int
 ) -> tuple[Samples | None, float]:
-    """Touches that would tell causes apart, in the order of a short way, and the log-odds to expect of the worst pair.
-
-    None where none are asked for, where there is but one cause beside rows that are off, where no touch is in reach.
-    """
+    """Touches that would tell causes apart, on a short way, or None; and the log-odds to expect of the worst pair."""
     causes = [each.fitted for each in found if each.fitted is not None]
     if not count or len(causes) < 2:
         return None, 0.0
@@ -412,17 +383,15 @@ def telling(
     for each in causes:
         slopes = there.jacobian(each.x) @ each.root
         rivals.append((there.residual(each.x).reshape(len(pool), -1), slopes.reshape(len(pool), -1, slopes.shape[1])))
-    pairs = list(combinations(range(len(causes)), 2))
-    chosen, odds = list[int](), 0.0
+    pairs, chosen, odds = list(combinations(rivals, 2)), list[int](), 0.0
     for _ in range(min(count, len(pool))):
         gains = [
-            -np.inf if k in chosen else min(_odds(rivals[a], rivals[b], [*chosen, k]) for a, b in pairs)
+            -np.inf if k in chosen else min(_odds(one, two, [*chosen, k]) for one, two in pairs)
             for k in range(len(pool))
         ]
         chosen.append(int(np.argmax(gains)))
         odds = float(max(gains))
-    order = shortest_way(problem.robot, pool.joints[chosen])
-    best = pool.take([chosen[k] for k in order])
+    best = pool.take([chosen[k] for k in shortest_way(problem.robot, pool.joints[chosen])])
     return replace(best, lines=tuple(range(1, len(chosen) + 1)), file="planned touches"), odds
 
 
@@ -438,10 +407,9 @@ def _odds(one: tuple[Array, Array], two: tuple[Array, Array], rows: list[int]) -
 
 def _faces_of(problem: Problem, fresh: Fresh) -> Cell | None:
     """The faces where fresh rows found them, as large as they were touched; None where none is touched."""
-    probe, bound = problem.instrument.probe, fresh.bound
+    probe, bound, samples = problem.instrument.probe, fresh.bound, fresh.bound.block.samples
     if probe is None:
         return None
-    samples = bound.block.samples
     _, _, tips, directions = drawn_touch(problem, probe, samples)
     rows_of, faces = samples.faces(problem.instrument.groups).rows(), list[Face]()
     for slot in bound.slots:
@@ -458,16 +426,3 @@ def _faces_of(problem: Problem, fresh: Fresh) -> Cell | None:
         faces.append(Face(label, tuple(middle.tolist()), tuple(normal.tolist()), (side, side)))
     # a face below the base plane was touched: the table is no higher
     return Cell(faces=tuple(faces), table=min(0.0, *(face.lowest for face in faces))) if faces else None
-
-
-def write_touches(path: str | Path, found: Change, layout: Layout, name: str) -> None:
-    """Write the touches of a `Change` in the form of a plan, whole or not at all; nothing where it has none."""
-    if found.touches is None:
-        return
-    notes = [
-        f"touches that would settle what changed for {name}, {MADE}: not a measurement",
-        f"between {' and '.join(cause.name for cause in found.causes)}",
-        "bring the arm to each posture, then along the plunger until the instrument reads; write down the joint values "
-        "that the controller shows and the reading that there is, not the expected one; give them with the other rows",
-    ]
-    write_text(path, postures_text(found.touches, [FIT] * len(found.touches), layout, notes))

@@ -33,8 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Look as the options say; returns 0, or 1 when something changed or cannot be told."""
     from casacal.calibration.fresh import opened
-    from casacal.changes.changed import looked
-    from casacal.changes.explain import write_touches
+    from casacal.changes.changed import looked, write_touches
 
     result, other, named, rows = fresh_rows(options)
     outs = [] if options.touches is None else [options.touches]

@@ -35,8 +35,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.deployment.arm import TRUTH
     from casacal.files import LOOKED_AT, write_text
     from casacal.verification.arm_error import RISK
-    from casacal.verification.page import REPORT, with_section
-    from casacal.verification.verify import verify
+    from casacal.verification.verification import REPORT, verify, with_section
 
     if options.risk is not None and options.tolerance is None:
         raise CasacalError("Got --risk without --tolerance", "Give the tolerance as well")

@@ -22,14 +22,14 @@ from casacal.model.unknown import Parameter
 from casacal.values import Array, Rows, is_real
 
 LARGEST_PAYLOAD = 10_000.0  # kg; beyond it a value is absurd whatever the arm
+LARGEST_TORQUE = 100_000.0  # Nm (N of a sliding joint), likewise
+HEAVIEST = 1e5  # kilograms of a link; more is another unit
+NOTHING = 1e-9  # part of the largest moment that is rounding
 DOWN = (0.0, 0.0, -1.0)  # gravity in the base frame of an arm that stands
 LOAD = 5.0  # kilograms of payload that are expected to pull about as much as all of the arm's own links
 MASS = "payload"  # column of a row model
 APART = 0.5  # by how much of what all give one joint gives more or less than the others
-
-LEAST_SAG = 1.0
-"""Sag (mm) at 1 rad per metre of lever below which joints carry no weight, as those of an upright SCARA."""
-
+LEAST_SAG = 1.0  # mm at 1 rad per metre of lever, below which joints carry no weight, as those of an upright SCARA
 POSTURES = 64  # joint values over which an arm's sag is averaged
 
 
@@ -76,8 +76,8 @@ class Loaded(Effect):
             return {}
         kilograms = read_columns_of(samples, (self.payload,), 1, "payload")
         said = f"is no payload from 0 to {LARGEST_PAYLOAD:,.0f} kg"
-        fix = "Give kilograms, 0 for none"
-        refuse_unless((kilograms >= 0) & (kilograms <= LARGEST_PAYLOAD), samples, (self.payload,), kilograms, said, fix)
+        good = (kilograms >= 0) & (kilograms <= LARGEST_PAYLOAD)
+        refuse_unless(good, samples, (self.payload,), kilograms, said, "Give kilograms, 0 for none")
         return {MASS: kilograms[:, 0]}
 
 
@@ -125,15 +125,8 @@ class GravitySag(Loaded):
         if self.payload:
             load = getattr(here.row, MASS) / LOAD
             at_tip = [own + load * (u[2 + count] + u[3 + count + k]) for k, own in enumerate(at_tip)]
-        pulls = iter(at_tip)
-        give = [u[0] * flange[j] + next(pulls) * tip[j] if turns else 0 for j, turns in enumerate(here.robot.revolute)]
-        return ca.vertcat(*give)
-
-
-HEAVIEST = 1e5  # kilograms of a link; more is another unit
-NOTHING = 1e-9  # part of the largest moment that is rounding
-
-Triples = tuple[tuple[float, float, float], ...]
+        pulls, turns = iter(at_tip), here.robot.revolute
+        return ca.vertcat(*(u[0] * flange[j] + next(pulls) * tip[j] if turn else 0 for j, turn in enumerate(turns)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,7 +149,7 @@ class LinkSag(Loaded):
     """
 
     masses: tuple[float, ...] = ()
-    centres: Triples = ()
+    centres: tuple[tuple[float, float, float], ...] = ()
 
     words = "gravity sag of the links"
 
@@ -257,9 +250,6 @@ class LinkSag(Loaded):
         found = np.sqrt((about**2).mean(axis=1)) * site.robot.revolute[:, None]
         feels: Rows = np.asarray(found > NOTHING * found.max())  # no link before a joint, none about an upright axis
         return feels, float(np.sqrt(((about * sinks[..., None] * feels[:, None]) ** 2).sum(axis=(0, 2)).mean()))
-
-
-LARGEST_TORQUE = 100_000.0  # Nm (N of a sliding joint); beyond it a value is absurd whatever the arm
 
 
 @dataclass(frozen=True, kw_only=True)

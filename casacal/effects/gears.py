@@ -90,8 +90,8 @@ class GearRipple(Waves):
 
     def waves(self, robot: Robot) -> list[tuple[int, float]]:
         """Waves once and twice per turn of each motor."""
-        geared = [j for j, joint in enumerate(robot.axes) if joint.turns and joint.gear_ratio > 0]
-        return [(j, order * robot.axes[j].gear_ratio) for j in geared for order in (1, 2)]
+        geared = [(j, axis.gear_ratio) for j, axis in enumerate(robot.axes) if axis.turns and axis.gear_ratio > 0]
+        return [(j, order * ratio) for j, ratio in geared for order in (1, 2)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,9 +178,5 @@ class Backlash(ByColumns):
     def joints(self, here: Here) -> Expression:
         """Joint deflections -u sign(approach), or anything within the backlash where that is not known."""
         u, n = getattr(here.p, self.key), len(here.robot.axes)
-        return ca.vertcat(
-            *(
-                -scale * (u[j] * getattr(here.row, f"came{j + 1}") + u[n + j] * here.row.first)
-                for j, scale in enumerate(per_radian(here.robot))
-            )
-        )
+        lags = [u[j] * getattr(here.row, f"came{j + 1}") + u[n + j] * here.row.first for j in range(n)]
+        return ca.vertcat(*(-scale * lag for scale, lag in zip(per_radian(here.robot), lags, strict=True)))

@@ -17,22 +17,10 @@ def kit(*, down: tuple[float, float, float] = DOWN, links: bool = False) -> tupl
     down: direction of gravity in the base frame; of an arm that hangs or stands at a wall it is another. links: sag by
     the weights of all links, of which nothing is known, in place of that by one weight at the flange.
     """
-    return (
-        TransmissionError(order=1),
-        TransmissionError(order=2),
-        GearRipple(),
-        JointCoupling(),
-        LinkSag(down=down) if links else GravitySag(down=down),
-        Backlash(),
-        FaceForm(),
-        SphereForm(),
-        PlateForm(),
-        JointField(),
-        Drift(),
-        ThermalGrowth(),
-        FocalLength(),
-        CONSTANTS,
-    )
+    gears = TransmissionError(order=1), TransmissionError(order=2), GearRipple(), JointCoupling()
+    sag = LinkSag(down=down) if links else GravitySag(down=down)
+    forms = FaceForm(), SphereForm(), PlateForm(), JointField()
+    return (*gears, sag, Backlash(), *forms, Drift(), ThermalGrowth(), FocalLength(), CONSTANTS)
 
 
 def rich_kit(*, down: tuple[float, float, float] = DOWN) -> tuple[Effect, ...]:

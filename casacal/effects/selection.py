@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 from scipy.special import fdtrc
@@ -35,20 +36,20 @@ ENOUGH = 300  # rows from which on a field of many unknowns can be told
 MANY = 300  # unknowns of the geometry beyond which each has too few rows to tell of effects
 MANY_FACES = 150  # and faces, whose forms are unknown
 NEARLY = 0.98  # part of the most that an effect may be from which it is taken to stand there
-
 SAGS = 0.5  # times the usual sag from which on it is asked whose weight it is
-
-PART = 0.05
-"""Least part of the stated noise that single rows may show where they err together: stated is what a row errs by."""
-
-VERY_STRONG = 5.0
-"""Logarithm of a ratio of densities from which evidence is called very strong (Kass and Raftery, Journal of the
-American Statistical Association 90, 1995, section 3.2: 2 ln B above 10)."""
-UNLIKELY = 0.01 / 2
-"""Chance below which an error of the dial is taken to be there: one in a hundred, for the two that are tested."""
+PART = 0.05  # least part of the stated noise that single rows may show where they err together
+VERY_STRONG = 5.0  # log of a ratio of densities: 2 ln B above 10 (Kass and Raftery, JASA 90, 1995, section 3.2)
+UNLIKELY = 0.01 / 2  # chance below which an error of the dial is taken to be there: 1 %, for the two that are tested
 FLAT = 1e-3  # slope of a residual by its reading below which the reading does not count
 STEP = 0.5  # millimetres by which readings are shifted for their slope: a distance from a plane is linear in them
 UNSEEN = 1e-9  # part of the squared length of a column that a fit must leave of it for it to be seen at all
+MOST_FACES = 12  # faces beyond which as many fits take long, and one face more or less says little
+MOST_ROWS = 5_000  # rows beyond which they do, too
+AS_PROMISED = 1.3  # misses of rows left out over those predicted, up to which a fit is borne out by them
+GONE = 1e12  # times a prior's information by which an effect is taken away
+
+Way: TypeAlias = tuple[BoundProblem, NormalEquations]
+"""Rows under effects and noise, with their normal equations."""
 
 
 def with_effects(bound: BoundProblem, problem: Problem, *, find_noise: bool = True) -> BoundProblem:
@@ -57,8 +58,7 @@ def with_effects(bound: BoundProblem, problem: Problem, *, find_noise: bool = Tr
     Sizes are those at which the rows are likeliest (restricted marginal likelihood) where the geometry stands. Noise is
     never less than stated; where many rows err together by more than each does alone, all errors of a row together are
     not. An arm that sags does so by one weight at its flange or by those of all links, whichever is likelier. Itself
-    where nothing is unknown, where faces are so many that each has too few rows to say, and where the geometry cannot
-    be fitted.
+    where nothing is unknown, faces are too many for their rows, or the geometry cannot be fitted.
 
     Args:
         bound: of the geometry alone, with the noise as it was found without effects.
@@ -102,7 +102,7 @@ class _Linear:
     """
 
     x: Array
-    ways: tuple[tuple[BoundProblem, NormalEquations], ...]
+    ways: tuple[Way, ...]
 
     @staticmethod
     def of(bound: BoundProblem, problem: Problem, geometry: Array) -> _Linear:
@@ -136,9 +136,9 @@ class _Linear:
         parts = [(way, normal_equations(way, self.x)) for way in with_joints(self.ways[0][0], best.rows, joints)]
         if not parts:
             return best.rows
-        looks = [self._sizes(*part, least, start=best.times, search=False) for part in parts]
+        looks = [self._sizes(part, least, best.times, search=False) for part in parts]
         likely = [look.evidence + beforehand(way) for look, (way, _) in zip(looks, parts, strict=True)]
-        found = self._likeliest(*parts[int(np.argmax(likely))], least, start=best.times)
+        found = self._likeliest(parts[int(np.argmax(likely))], least, best.times)
         # a factor for each face fits better than one number by chance (Schwarz, Annals of Statistics, 1978)
         against = -(faces - 1) * math.log(best.rows.rows) / 2 if faces_differ else WORTH
         return found.rows if found.evidence + beforehand(found.rows) - against > best.evidence else best.rows
@@ -146,38 +146,22 @@ class _Linear:
     def best(self, least: float | None) -> _Found:
         """The likeliest of the ways, before joint repeatability is separated from the noise."""
         ways = self.ways if least is not None else self.ways[:1]
-        return max((self._likeliest(*way, least) for way in ways), key=lambda found: found.evidence)
+        return max((self._likeliest(way, least) for way in ways), key=lambda found: found.evidence)
 
-    def _likeliest(
-        self,
-        whole: BoundProblem,
-        normal: NormalEquations,
-        least: float | None,
-        *,
-        start: Mapping[str, float] | None = None,
-    ) -> _Found:
+    def _likeliest(self, way: Way, least: float | None, start: Mapping[str, float] | None = None) -> _Found:
         """The rows at the sizes and the noise that make them likeliest."""
-        sizes = self._sizes(whole, normal, least, start=start)
+        (whole, normal), sizes = way, self._sizes(way, least, start)
         rows = whole.with_sizes(sizes.times, noise=times(whole.scale, sizes.noise) if sizes.noise != 1 else None)
         return _Found(sizes.evidence, rows, sizes.times, normal.with_noise(sizes.noise))
 
-    def _sizes(
-        self,
-        whole: BoundProblem,
-        normal: NormalEquations,
-        least: float | None,
-        *,
-        start: Mapping[str, float] | None = None,
-        search: bool = True,
-    ) -> Sizes:
+    def _sizes(self, way: Way, least: float | None, start: Mapping[str, float] | None, *, search: bool = True) -> Sizes:
         """The likeliest sizes and noise, and how likely the rows are, as densities of readings; see `effect_sizes`."""
+        (whole, normal), x = way, self.x
         stated = 1 / min(by_face(whole.scale).values(), default=1.0)
         known = {effect.key: (effect.doubt, effect.most) for effect in effects_of(whole.problem)}
-        sizes = effect_sizes(
-            whole, self.x, whole.beside, known, stated=stated, least=least, normal=normal, start=start, search=search
-        )
-        density = float(np.log(whole.noise).sum())
-        return replace(sizes, evidence=sizes.evidence - density)
+        given = (whole, x, whole.beside, known)
+        sizes = effect_sizes(*given, stated=stated, least=least, normal=normal, start=start, search=search)
+        return replace(sizes, evidence=sizes.evidence - float(np.log(whole.noise).sum()))
 
 
 @dataclass(frozen=True)
@@ -277,17 +261,10 @@ def effect_sizes_of(fit: BoundProblem, x: Array) -> tuple[EffectSize, ...]:
     known = [effect for effect in effects_of(fit.problem) if effect.key in times and effect.key in fit.beside]
     known = [effect for effect in known if not isinstance(effect, TrustedConstants)]  # those have `leverages`
     gains = in_sample_gains(fit, x, [effect.key for effect in known]) if known else {}
-    found = [
-        EffectSize(
-            effect.key,
-            effect.words,
-            gains[effect.key],
-            effect.size * times[effect.key],
-            effect.size,
-            effect.unit or fit.units[fit.beside.index(effect.key)],
-        )
-        for effect in known
-    ]
+    found = []
+    for effect in known:
+        key, unit = effect.key, effect.unit or fit.units[fit.beside.index(effect.key)]
+        found.append(EffectSize(key, effect.words, gains[key], effect.size * times[key], effect.size, unit))
     return tuple(sorted(found, key=lambda each: -each.gain))
 
 
@@ -348,35 +325,24 @@ def _dial_columns(fit: BoundProblem, x: Array) -> Iterator[tuple[str, str, str, 
             continue
         read = np.zeros(fit.rows)
         read[fit.sample_rows(i)] = fit.samples[i].columns[probe.column]
-        steep = _steepness(fit, x, i, probe.column)
+        shifted = []  # residuals where the readings are a step more, and a step less
+        for step in (STEP, -STEP):
+            sets, columns = list(fit.samples), fit.samples[i].columns
+            sets[i] = replace(sets[i], columns={**columns, probe.column: columns[probe.column] + step})
+            shifted.append(fit.on(*sets).plain_residual(x))
+        steep = (shifted[0] - shifted[1]) / (2 * STEP)
         sloped = np.abs(steep) > FLAT
         drawn, fitted = (
             read - np.where(sloped, fit.plain_residual(at) / np.where(sloped, steep, 1.0), 0.0) for at in (fit.x0, x)
         )
         slope, before = steep / fit.noise, fit.problem.prefix(i)
         if "gain" not in declared:
-            way = slope * drawn / 100
-            yield f"{before}gain", "gain of the dial", dial_gain().unit, way[:, None]
+            yield f"{before}gain", "gain of the dial", dial_gain().unit, (slope * drawn / 100)[:, None]
         if "cycle" not in declared:
             angle = 2 * math.pi * fitted / probe.turn
             ways = slope[:, None] / 1000 * np.column_stack([np.cos(angle), np.sin(angle)])
             words = "error of the dial that repeats with every turn of its pointer"
             yield f"{before}cycle", words, dial_cycle().unit, ways
-
-
-def _steepness(fit: BoundProblem, x: Array, i: int, column: str) -> Array:
-    """Slope (rows,) of all residuals by what instrument `i` reads in a column."""
-    shifted = []
-    for step in (STEP, -STEP):
-        samples = list(fit.samples)
-        columns = samples[i].columns
-        samples[i] = replace(samples[i], columns={**columns, column: columns[column] + step})
-        shifted.append(fit.on(*samples).plain_residual(x))
-    return np.asarray((shifted[0] - shifted[1]) / (2 * STEP))
-
-
-MOST_FACES = 12  # faces beyond which as many fits take long, and one face more or less says little
-MOST_ROWS = 5_000  # rows beyond which they do, too
 
 
 @dataclass(frozen=True)
@@ -414,9 +380,6 @@ def leave_one_face_out(bound: BoundProblem, result: Result) -> tuple[LeftOut, ..
     return tuple(_left_out(bound, result, faces.rows()))
 
 
-AS_PROMISED = 1.3  # misses of rows left out over those predicted, up to which a fit is borne out by them
-
-
 def regions_borne_out(bound: BoundProblem, result: Result) -> bool:
     """Whether a fit without each region of postures in turn predicts that region's rows as well as it says."""
     parts = splits_by({}, bound.measured.joints).get(REGIONS, [])
@@ -448,9 +411,6 @@ def _left_out(bound: BoundProblem, result: Result, parts: Mapping[str, Index]) -
         yield LeftOut(face, len(rows), actual, predicted, judged.chi_square, judged.freedom, p)
 
 
-GONE = 1e12  # times a prior's information by which an effect is taken away
-
-
 def in_sample_gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[str, float]:
     """Gain in the log-likelihood of the rows by each effect at its size.
 
@@ -468,11 +428,7 @@ def in_sample_gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[
 
 
 def gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[str, dict[str, float]]:
-    """Gain in the log density of unseen rows by each effect, by key and by split.
-
-    Arguments as for `in_sample_gains`; of very many rows some stand for all. Returns no split where there is no face
-    beside another, and no region that could be left out.
-    """
+    """Gain in the log density of unseen rows by effect and by split, as `in_sample_gains`; no split without parts."""
     bound = bound.thinned(MOST_ROWS)
     slopes, r, prior = bound.jacobian(x), bound.residual(x), bound.prior_information
     heights = slopes @ (x - bound.x0) - r
@@ -498,13 +454,10 @@ def _densities(parts: list[NormalEquations], prior: Array) -> float:
     for k in range(len(parts)):
         others = [part for j, part in enumerate(parts) if j != k]
         rest = sum(others[1:], others[0])
-        known = (np.diagonal(prior) > 0) | (
-            np.diagonal(rest.information) > 0
-        )  # a face that is left out stands where it likes
-        total += whole - evidence(
-            NormalEquations(rest.information[np.ix_(known, known)], rest.toward[known], rest.square),
-            prior[np.ix_(known, known)],
-        )
+        # a face that is left out stands where it likes
+        known = np.flatnonzero((np.diagonal(prior) > 0) | (np.diagonal(rest.information) > 0))
+        own = np.ix_(known, known)
+        total += whole - evidence(NormalEquations(rest.information[own], rest.toward[known], rest.square), prior[own])
     return total
 
 

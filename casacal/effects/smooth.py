@@ -6,6 +6,7 @@ import math
 from abc import ABC
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 
 import casadi as ca
 import numpy as np
@@ -17,6 +18,15 @@ from casacal.model.kinematics import Expression, Product, transform_point
 from casacal.model.term import FaceFrame, Here, Site, SurveyedRows
 from casacal.model.unknown import Parameter
 from casacal.values import Array
+
+WIDER = 1.5  # times its half width over which a face's form is a series of sines: at the edge it need not vanish
+SMALLEST_WEIGHT = 0.05  # terms of a series below this part of the largest are left out
+ORDERS = 6
+WALK = (1.0, 0.45, 0.22, 0.15)  # standard deviations of a slope and the first waves of a random walk that goes as far
+SOON = 5.0  # time constants of early growth in one session
+JITTER = 1e-9  # added to a covariance of one, so that rows at one place can both be pivots
+MOST_UNKNOWNS = 150  # over all components of a residual; the time that a fit takes grows with their cube
+ENOUGH = 1e-3  # variance of a row, of one, below which it tells nothing that others have not told
 
 
 class OverTime(Effect, ABC):
@@ -31,17 +41,6 @@ class OverTime(Effect, ABC):
         """Time of each row, by the number of its line."""
         del site
         return {"when": rows.survey.when(rows.samples)}
-
-
-WIDER = 1.5
-"""Times its half width over which a face's form is a series of sines: where it ends, the series need not vanish."""
-
-SMALLEST_WEIGHT = 0.05  # terms of a series below this part of the largest are left out
-
-ORDERS = 6
-
-WALK = (1.0, 0.45, 0.22, 0.15)
-"""Standard deviations of a slope and of the first waves of a random walk that goes as far."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,12 +68,12 @@ class FaceForm(Effect):
     @property
     def _terms(self) -> list[tuple[int, int, float]]:
         """Orders of each sine along and across, and its standard deviation for a height of one."""
-        every = [(i, j) for i in range(1, ORDERS + 1) for j in range(1, ORDERS + 1)]
-        waves = {(i, j): (math.pi * math.hypot(i, j) / (2 * WIDER)) for i, j in every}
-        root = {at: math.sqrt(2 * math.pi) * self.reach * math.exp(-((self.reach * w) ** 2) / 4)
-                for at, w in waves.items()}  # fmt: skip
-        largest = max(root.values())
-        return [(i, j, root[i, j] / WIDER) for i, j in every if root[i, j] > SMALLEST_WEIGHT * largest]
+        root = {}
+        for i, j in product(range(1, ORDERS + 1), repeat=2):
+            wave = math.pi * math.hypot(i, j) / (2 * WIDER)
+            root[i, j] = math.sqrt(2 * math.pi) * self.reach * math.exp(-((self.reach * wave) ** 2) / 4)
+        least = SMALLEST_WEIGHT * max(root.values())
+        return [(i, j, each / WIDER) for (i, j), each in root.items() if each > least]
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """Amplitudes for each face, mm."""
@@ -227,14 +226,6 @@ class ThermalGrowth(OverTime):
         return ca.vertcat(ca.horzcat(matrix[:3, :3], matrix[:3, 3] * grown), matrix[3, :])
 
 
-SOON = 5.0  # time constants of early growth in one session
-
-
-JITTER = 1e-9  # added to a covariance of one, so that rows at one place can both be pivots
-MOST_UNKNOWNS = 150  # over all components of a residual; the time that a fit takes grows with their cube
-ENOUGH = 1e-3  # variance of a row, of one, below which it tells nothing that others have not told
-
-
 @dataclass(frozen=True, kw_only=True)
 class JointField(Effect):
     """Residual error field: errors along the residual, correlated between similar postures.
@@ -270,13 +261,11 @@ class JointField(Effect):
 
     def values(self, site: Site, rows: SurveyedRows) -> Mapping[str, Array]:
         """Those columns, from the joint values of the rows and of the fitted ones."""
-        rank = self._pivots(site)
-        pivots = _pivots(self._places(site, rows.survey.samples), rank)
-        like = np.zeros((len(rows.samples), rank))
+        names, here = self.columns(site), self._places(site, rows.samples)
+        pivots, like = _pivots(self._places(site, rows.survey.samples), len(names)), np.zeros((len(here), len(names)))
         root = np.linalg.cholesky(_alike(pivots, pivots) + JITTER * np.eye(len(pivots)))
-        here = self._places(site, rows.samples)
         like[:, : len(pivots)] = solve_triangular(root, _alike(pivots, here), lower=True).T
-        return {name: like[:, k] for k, name in enumerate(self.columns(site))}
+        return dict(zip(names, like.T, strict=True))
 
     def residual(self, here: Here) -> Expression:
         """Error of each component: the sum over the pivots."""

@@ -23,6 +23,8 @@ from casacal.uncertainty.tip_error import tip_rms, without_rigid, workspace_join
 from casacal.values import Array
 from casacal.wording import sized
 
+COVERED = 3.0  # standard deviations of a constant up to which its prior is what covers an error of it
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrustedConstants(Effect):
@@ -45,11 +47,11 @@ class TrustedConstants(Effect):
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """Errors in standard deviations, by the name of each constant; a direction has two."""
-        constants = site.instrument.trusted.items()
-        labels = [f"_{name}" for name, each in constants for name in _numbered(name, each.count)]
-        if not labels:
-            return {}
-        return {self.key: Parameter([0.0] * len(labels), unit="1", prior_std=self.size, labels=labels)}
+        labels = list[str]()
+        for name, each in site.instrument.trusted.items():
+            labels += [f"_{name}{i}" for i in range(1, each.count + 1)] if each.count > 1 else [f"_{name}"] * each.count
+        zeros = [0.0] * len(labels)
+        return {self.key: Parameter(zeros, unit="1", prior_std=self.size, labels=labels)} if labels else {}
 
     def reading(self, here: Here) -> Mapping[str, Expression]:
         """Corrections of columns that err in proportion."""
@@ -92,10 +94,6 @@ def with_constants(problem: Problem) -> Problem:
     return problem.with_terms(*problem.terms, CONSTANTS)
 
 
-def _numbered(name: str, count: int) -> list[str]:
-    return [name] if count == 1 else [f"{name}{i}" for i in range(1, count + 1)]
-
-
 @dataclass(frozen=True, kw_only=True)
 class FocalLength(Effect):
     """A camera's focal length: poses err in proportion along its axis, the z axis of the body.
@@ -128,9 +126,6 @@ class FocalLength(Effect):
         return dict(zip("xyz", ca.vertsplit(along), strict=True))
 
 
-COVERED = 3.0  # standard deviations of a constant up to which its prior is what covers an error of it
-
-
 def beyond(bound: BoundProblem, x: Array) -> bool:
     """Whether a constant stands farther from what is stated, at x (n,), than its prior covers: that is a mistake."""
     own = np.array([key == TrustedConstants.key for key in bound.beside], dtype=bool)
@@ -161,11 +156,7 @@ class Leverage:
 
 
 def leverages(fit: BoundProblem, result: Result) -> tuple[Leverage, ...]:
-    """Leverage of every trusted constant of a fit, the largest first; none where geometry was taken for all there is.
-
-    H (J'J + Lambda)^-1 J' dr/du times the standard deviation of u, the other constants exact: the regression of the
-    tip on u, H cov(x, u) / var(u), in the covariance given these.
-    """
+    """Leverage of every trusted constant, the largest first, by the tip's regression on it given the others."""
     constants = [j for j, key in enumerate(fit.beside) if key == TrustedConstants.key]
     if not constants:
         return ()

@@ -443,7 +443,7 @@ class Work:
         arm, check = self.arm, self.recording.file.check_path
 
         def run() -> None:
-            from casacal.verification.verify import verify
+            from casacal.verification.verification import verify
 
             found = verify(arm, self.source.problem.read(check), tolerance=tolerance)
             write_text(self.place.folder / "verified.html", found.page(), own=True)

@@ -7,12 +7,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 from scipy.optimize import minimize
 
 from casacal.fit.least_squares import LeastSquares
-from casacal.values import Array, FrozenMapping
+from casacal.values import Array, FrozenMapping, Index
+
+MORE = 1.3  # noise as found over stated beyond which something errs that is larger than expected
+LARGE = 50.0  # times its size of an effect of no physical size, from which the search then starts once more
+HELD = (1.0, 1.0)  # doubt and most of a term whose size stays as it was declared
+SMALLER = math.log(6.0)  # how much smaller than usual any effect may well be: some arms hardly have it
+NOISE_DOUBT = 3.0  # times by which noise may well exceed what was stated
+STOP = {"ftol": 1e-7}  # relative change of -2 log L below which sizes are found: a thousandth of any evidence
+AT_BOUND = 2.0  # twice the logarithm of a likelihood that an effect at the largest size must gain over another top
 
 
 @dataclass(frozen=True)
@@ -25,9 +32,8 @@ class NormalEquations:
 
     def __add__(self, other: NormalEquations) -> NormalEquations:
         """Normal equations of both sets of rows."""
-        return NormalEquations(
-            self.information + other.information, self.toward + other.toward, self.square + other.square
-        )
+        information, toward = self.information + other.information, self.toward + other.toward
+        return NormalEquations(information, toward, self.square + other.square)
 
     def with_noise(self, times: float) -> NormalEquations:
         """Normal equations of rows with noise scaled by a factor."""
@@ -64,26 +70,13 @@ def evidence(rows: NormalEquations, prior: Array) -> float:
     return -(rows.square - float(rows.toward @ at) + determinant) / 2
 
 
-MORE = 1.3  # noise as found over stated beyond which something errs that is larger than expected
-LARGE = 50.0  # times its size of an effect of no physical size, from which the search then starts once more
-HELD = (1.0, 1.0)  # doubt and most of a term whose size stays as it was declared
-SMALLER = math.log(6.0)  # how much smaller than usual any effect may well be: some arms hardly have it
-NOISE_DOUBT = 3.0  # times by which noise may well exceed what was stated
-
-
-STOP = {"ftol": 1e-7}
-AT_BOUND = 2.0  # twice the logarithm of a likelihood that an effect at the largest size must gain over another top
-"""Change of -2 log L, relative, below which sizes are found: a thousandth of what would be any evidence."""
-
-
 @dataclass(frozen=True)
 class Sizes:
     """Size of each effect over its expected size, by key, and noise over the noise in use."""
 
     times: Mapping[str, float]
     noise: float
-    evidence: float
-    """Logarithm of the marginal likelihood, hyper-priors included."""
+    evidence: float  # logarithm of the marginal likelihood, hyper-priors included
 
 
 def effect_sizes(
@@ -146,7 +139,7 @@ def _objective(
     rows: int,
     beforehand: Array,
     joint: Array | None,
-    groups: Sequence[NDArray[np.intp]],
+    groups: Sequence[Index],
     expected: Array,
     spread: Array,
 ) -> tuple[float, Array]:

@@ -14,6 +14,7 @@ from casacal.values import Array
 
 TOGETHER = 16_384  # rows whose Jacobian is held at a time
 LARGE = 50_000  # rows among which it is no matter whether an unknown more or less was determined
+HALF_WEIGHT = 0.5  # weight under a robust loss below which a row counts as ignored
 
 
 def effective_unknowns(problem: LeastSquares, x: Array, loss: Loss | None = None) -> float:
@@ -37,11 +38,7 @@ def _along(rows: Array, along: Array | None) -> Array:
 
 
 def leverages(bound: BoundProblem, result: Result) -> Array:
-    """Leverage (rows,) of each row: w J (J'WJ + Lambda)^-1 J', W the weights of a robust loss.
-
-    By an orthonormal basis of what the rows and the prior see, scaled column by column: right under flat priors too,
-    where a covariance holds variances that no digit survives.
-    """
+    """Leverage (rows,) of each row, w J (J'WJ + Lambda)^-1 J', W a loss's weights; right under flat priors too."""
     along = bound.tangent(result.x)
     held = _inverse_root(_along(bound.weighted_rows(result.x, result.loss), along), _along(bound.prior_rows, along))
     held = held if along is None else along @ held
@@ -62,9 +59,6 @@ def _inverse_root(rows: Array, prior: Array) -> Array:
     return np.asarray(scale[:, None] * right[held].T / values[held])
 
 
-HALF_WEIGHT = 0.5  # weight under a robust loss below which a row counts as ignored
-
-
 def rms(values: Array) -> float:
     """Root mean square of numbers."""
     return math.sqrt(float((values**2).mean()))
@@ -76,12 +70,8 @@ def residual_figures(residuals: Array) -> dict[str, float]:
     Each by its right definition; the paper's eqs (30), (31) are not (errata E17, E18).
     """
     size = np.abs(residuals)
-    return {
-        "rmse_mm": rms(residuals),
-        "mae_mm": float(size.mean()),
-        "std_mm": float(residuals.std()),
-        "max_mm": float(size.max()),
-    }
+    mean, spread, most = float(size.mean()), float(residuals.std()), float(size.max())
+    return {"rmse_mm": rms(residuals), "mae_mm": mean, "std_mm": spread, "max_mm": most}
 
 
 def noise_interval(result: Result) -> tuple[float, float, float]:
@@ -90,9 +80,15 @@ def noise_interval(result: Result) -> tuple[float, float, float]:
     The residuals' sum of squares over its degrees of freedom, rows less the unknowns that the data determined. Rows of
     which a robust loss left less than half do not count.
     """
-    problem, r = result.problem, result.problem.residual(result.x)
-    kept = result.weights >= HALF_WEIGHT
-    counting = None if kept.all() else _counting(result.loss)
+    problem, loss, counting = result.problem, result.loss, None
+    r, kept = problem.residual(result.x), result.weights >= HALF_WEIGHT
+    if not kept.all():
+        assert loss is not None
+
+        def weight(r: Array) -> Array:
+            return np.asarray((loss.weight(r) >= HALF_WEIGHT).astype(np.float64))
+
+        counting = Loss("counting", lambda r: weight(r) * r**2 / 2, weight)
     free = max(int(kept.sum()) - effective_unknowns(problem, result.x, counting), 1.0)
     return ratio_interval(float((r[kept] ** 2).sum()), free)
 
@@ -103,16 +99,6 @@ def ratio_interval(total: float, free: float) -> tuple[float, float, float]:
 
     low, high = (total / (2 * float(gammaincinv(free / 2, p))) for p in (0.975, 0.025))
     return math.sqrt(total / free), math.sqrt(low), math.sqrt(high)
-
-
-def _counting(loss: Loss | None) -> Loss:
-    """Loss that gives a row weight one where another loss weighs it by half or more, else zero."""
-    assert loss is not None
-
-    def weight(r: Array) -> Array:
-        return np.asarray((loss.weight(r) >= HALF_WEIGHT).astype(np.float64))
-
-    return Loss("counting", lambda r: weight(r) * r**2 / 2, weight)
 
 
 def chance_beyond(square: float, freedom: float) -> float:

@@ -23,23 +23,20 @@ from functools import cached_property
 import numpy as np
 from scipy.special import fdtrc, gammaincc, ndtri
 
-from casacal.linalg import inverse_triangle, svd
+from casacal.linalg import ROUNDING, inverse_triangle, svd
 from casacal.values import Array, Index
 
 CHANCE = 1e-4  # chance that rows which are as expected have any that is called gross (Bonferroni)
 MOST_GROSS = 0.05  # beyond this fraction of the rows (and three of them) it is not single rows that are off
-VISIBLE = 0.1
-"""Whitened length of a plausible change below which its direction is ignored: rows could never show it."""
-
-ROUNDING = 16 * float(np.finfo(float).eps)
+VISIBLE = 0.1  # whitened length of a plausible change below which rows could never show it
 
 
 @dataclass(frozen=True, eq=False)
 class FreshRows:
     """Rows linear about what a fit found, everything whitened.
 
-    residual: r (m,). spread: B (m, k), the derivative by what the fit found times a root of its covariance. own: O
-    (m, o), the derivative by the unknowns that these rows alone know.
+    residual: r (m,). spread: B (m, k), the derivative by what the fit found times a root of its covariance. own: O (m,
+    o), the derivative by the unknowns that these rows alone know.
     """
 
     residual: Array

@@ -1,8 +1,8 @@
 """Identifiability from the data: rank, null directions by kind, weak directions.
 
-NumPy on the `LeastSquares` seam and a tip Jacobian; it does not know where either came from. Definition, so that
-figures can be compared: the whitened Jacobian at the nominal; its rank at 1e-9 of the largest singular value, columns
-times 1 mrad and 1 mm, whatever the priors say; in the space that it sees, columns times prior standard deviation.
+Definition, so that figures can be compared: the whitened Jacobian at the nominal; its rank at 1e-9 of the largest
+singular value, columns times 1 mrad and 1 mm, whatever the priors say; in the space that it sees, columns times prior
+standard deviation.
 """
 
 from __future__ import annotations
@@ -23,9 +23,7 @@ Kind = Literal["invisible", "rigid", "scale", "blind"]
 
 PERTURBATIONS = 2  # random parameter errors at which a structural null direction must still be null
 SAME_DIRECTION = 0.9  # fraction of a null direction that must lie in the null space there
-
 CORRELATED = 0.95
-
 LEVER = 1000.0  # millimetres at which an angle counts when unknowns are named by their part in a direction
 
 MEANING: dict[Kind, str] = {
@@ -49,11 +47,8 @@ class NullDirection:
     kind: Kind
     direction: Array
     words: str
-    tip_mm: float
-    """Tip motion by one prior standard deviation along it, apart from rigid motion of the base: mm RMS over the
-    workspace."""
-    structural: bool
-    """Whether it stays null when the parameters move; otherwise only these values of them hide it."""
+    tip_mm: float  # tip motion by one prior standard deviation along it, apart from the base, mm RMS
+    structural: bool  # whether it stays null when the parameters move; else only these values hide it
 
 
 @dataclass(frozen=True)
@@ -63,8 +58,7 @@ class WeakDirection:
     singular_value: float
     direction: Array
     words: str
-    tip_mm: float
-    """Tip motion by one prior standard deviation along it, as for null directions."""
+    tip_mm: float  # as for null directions
 
 
 @dataclass(frozen=True)
@@ -73,11 +67,15 @@ class Identifiability:
 
     unknowns: int
     rank: int
-    condition: float
-    """Largest over smallest singular value that is not null."""
+    condition: float  # largest over smallest singular value that is not null
     singular_values: Array
     null: tuple[NullDirection, ...]
     weak: tuple[WeakDirection, ...]
+
+    @property
+    def directions(self) -> tuple[NullDirection | WeakDirection, ...]:
+        """Null directions, then weak ones."""
+        return (*self.null, *self.weak)
 
     def count(self, kind: Kind) -> int:
         """Number of null directions of one kind."""
@@ -107,7 +105,11 @@ def identifiability(
     lever = np.where(np.array(problem.units) == "rad", LEVER, 1.0)
     rank, space = _seen(problem, problem.x0, active)
     field = tip_jacobian * scale
-    elsewhere = [_null_projector(problem, seed, active) for seed in range(PERTURBATIONS)]
+    elsewhere = []  # projectors on the null space, in natural units, at parameters off by random errors of those sizes
+    for seed in range(PERTURBATIONS):
+        off = np.minimum(scale, natural) * np.random.default_rng(seed).normal(size=problem.unknowns)
+        kept, right = _seen(problem, problem.x0 + off, active)
+        elsewhere.append(right[kept:].T @ right[kept:])
 
     def cost(direction: Array) -> float:
         return tip_rms(without_rigid(field @ (direction / np.linalg.norm(direction)), tips))
@@ -115,21 +117,20 @@ def identifiability(
     null = []
     for kind, basis in split_null_space(space[rank:].T, tip_jacobian * natural, tips):
         for change in sparse_basis(basis).T:
-            kept = [float(np.linalg.norm(project @ change) / np.linalg.norm(change)) for project in elsewhere]
+            still = min(float(np.linalg.norm(project @ change) / np.linalg.norm(change)) for project in elsewhere)
             words = f"{_named(change * natural * lever, problem.names)}: {MEANING[kind]}"
             direction = change * natural / scale
-            null.append(NullDirection(kind, direction, words, cost(direction), min(kept) > SAME_DIRECTION))
+            null.append(NullDirection(kind, direction, words, cost(direction), still > SAME_DIRECTION))
     unseen, left = space[rank:].T * (natural / scale)[:, None], len(space)
     along = np.eye(left) if left == problem.unknowns else np.linalg.qr((space * (natural / scale)).T)[0]
     whole, _ = np.linalg.qr(np.column_stack([along.T @ unseen, np.eye(left)]))
     rest = along @ whole[:, left - rank :]  # complement of the null space
     _, sizes, within = svd((problem.compact_jacobian(problem.x0) * scale) @ rest)
     right = within @ rest.T
-    weak = [
-        WeakDirection(float(size), each, f"{_named(each * scale * lever, problem.names)}: {WEAK}", cost(each))
-        for size, each in zip(sizes, right, strict=True)
-        if size < 1
-    ]
+    weak = []
+    for size, each in ((size, each) for size, each in zip(sizes.tolist(), right, strict=True) if size < 1):
+        words = f"{_named(each * scale * lever, problem.names)}: {WEAK}"
+        weak.append(WeakDirection(size, each, words, cost(each)))
     condition = float(sizes[0] / sizes[-1]) if rank else float("inf")
     values = np.concatenate([sizes, np.zeros(left - rank)])
     return Identifiability(left, rank, condition, values, tuple(null), tuple(weak))
@@ -157,15 +158,6 @@ def _seen(problem: LeastSquares, x: Array, active: Collection[str]) -> tuple[int
     basis, _ = np.linalg.qr(along / natural[:, None])
     rank, right = row_space(rows @ basis)
     return rank, right @ basis.T
-
-
-def _null_projector(problem: LeastSquares, seed: int, active: Collection[str]) -> Array:
-    """Projector (n, n) on the null space, in natural units, at parameters off by random errors of those sizes."""
-    natural = natural_scale(problem)
-    size = np.minimum(prior_scale(problem), natural)
-    x = problem.x0 + size * np.random.default_rng(seed).normal(size=problem.unknowns)
-    rank, right = _seen(problem, x, active)
-    return np.asarray(right[rank:].T @ right[rank:])
 
 
 def split_null_space(null: Array, tip_jacobian: Array, tips: Array) -> list[tuple[Kind, Array]]:
@@ -217,8 +209,7 @@ def known_from(posterior_std: float, prior_std: float) -> KnownFrom:
 
 def _beyond(space: Array, inner: Array) -> Array:
     """Orthonormal basis of the part of `space` (k, a) orthogonal to `inner` (k, b), which it contains."""
-    remaining = space - inner @ (inner.T @ space)
-    left, sizes, _ = svd(remaining)
+    left, sizes, _ = svd(space - inner @ (inner.T @ space))
     return np.asarray(left[:, sizes > 0.5])
 
 

@@ -15,18 +15,23 @@ from casacal.uncertainty.tip_error import scale_direction
 from casacal.values import Array, Index
 
 DULL = 1e-3  # part of a prior's variance that samples must take away from a direction before it can be said to move
+BEYOND = 36.0  # largest size times this lies beyond what any such sum reaches: exp(-BEYOND / 2) of the chance
+MOST_TERMS = 1 << 14
+VANISHED = 1e-14  # size of a characteristic function from which on it adds nothing
+MOST_ROWS = 20_000  # rows that the scatter is worked out from; more add memory, not insight
+FEWEST = 4  # directions that rows must see before some of them can say how far the others may move
+RANGE = np.geomspace(1e-2, 1e2, 121)  # times the priors that arms may differ from their drawing
+ROUNDING = 1e-12
+LARGEST = 700.0  # whose exponential is still a number
 
 
 @dataclass(frozen=True)
 class PriorMoves:
     """Joint size of the moves of arm and tool from nominal."""
 
-    factor: float
-    """Root mean square move over what the priors allow: one where they fit this arm."""
-    decided: float
-    """Unknowns that the samples decide, of those with a prior."""
-    chance: float
-    """Chance of moves as large as these, where priors and model are right."""
+    factor: float  # root mean square move over what the priors allow: one where they fit this arm
+    decided: float  # unknowns that the samples decide, of those with a prior
+    chance: float  # of moves as large as these, where priors and model are right
 
 
 def chance_of_move(bound: ArmProblem, x: Array, covariance: Array, own: Index) -> float:
@@ -63,12 +68,6 @@ def prior_moves(bound: ArmProblem, x: Array, covariance: Array) -> PriorMoves:
     return PriorMoves(math.sqrt(total / decided), decided, chance_beyond(freedom * total / decided, freedom))
 
 
-BEYOND = 36.0  # largest size times this lies beyond what any such sum reaches: exp(-BEYOND / 2) of the chance
-MOST_TERMS = 1 << 14
-VANISHED = 1e-14  # size of a characteristic function from which on it adds nothing
-MOST_ROWS = 20_000  # rows that the scatter is worked out from; more add memory, not insight
-
-
 @dataclass(frozen=True, eq=False)
 class PriorScatter:
     """Predicted residual scatter of the nominal arm, planes fitted, under prior errors and noise.
@@ -85,8 +84,26 @@ class PriorScatter:
         return math.sqrt(float(self.sizes @ self.freedoms))
 
     def chance_below(self, rms: float) -> float:
-        """Probability that the drawn arm misses the planes by no more than `rms` (mm)."""
-        return 1.0 - chance_of_sum(self.sizes, self.freedoms, rms**2)
+        """Probability that the drawn arm misses the planes by no more than `rms` (mm).
+
+        From the characteristic function at odd steps (Imhof, Biometrika 48, 1961; Davies, Biometrika 60, 1973).
+        """
+        largest = np.abs(self.sizes).max()
+        sizes, counts, beyond = self.sizes / largest, self.freedoms, rms**2 / largest
+        mean, spread = abs(float(sizes @ counts)), math.sqrt(2 * float(sizes**2 @ counts))
+        step = 2 * math.pi / (mean + abs(beyond) + 2 * BEYOND + 8 * spread)
+        total, first = 0.0, 0
+        while first < MOST_TERMS:
+            u = step * (np.arange(first, first + 512) + 0.5)
+            angles, logs = -beyond * u, np.zeros(len(u))
+            for size, count in zip(sizes, counts, strict=True):
+                angles += count / 2 * np.arctan(2 * size * u)
+                logs += count / 4 * np.log1p((2 * size * u) ** 2)
+            total += float((np.sin(angles) * np.exp(-logs) / u).sum()) * step
+            if math.exp(-float(logs[-1])) / u[-1] < VANISHED:
+                break
+            first += 512
+        return 1.0 - min(max(0.5 + total / math.pi, 0.0), 1.0)
 
 
 def prior_scatter(bound: BoundProblem, *, flat_counts: bool = False) -> PriorScatter:
@@ -117,36 +134,6 @@ def prior_scatter(bound: BoundProblem, *, flat_counts: bool = False) -> PriorSca
     mean, spread = float(((noise / largest) ** 2).mean()), float(((noise / largest) ** 4).mean())
     freedom = len(noise) * mean**2 / spread  # two moments of what the noise of all rows adds are matched
     return PriorScatter(np.append(own, mean / freedom * largest * largest), np.append(np.ones(len(own)), freedom))
-
-
-def chance_of_sum(sizes: Array, counts: Array, beyond: float) -> float:
-    """Chance that a sum of chi-squares, each of a size and a freedom (m,), is beyond a number.
-
-    From its characteristic function at odd steps (Imhof, Biometrika 48, 1961; Davies, Biometrika 60, 1973).
-    """
-    largest = np.abs(sizes).max()
-    sizes, beyond = sizes / largest, beyond / largest
-    mean, spread = abs(float(sizes @ counts)), math.sqrt(2 * float(sizes**2 @ counts))
-    step = 2 * math.pi / (mean + abs(beyond) + 2 * BEYOND + 8 * spread)
-    total, first = 0.0, 0
-    while first < MOST_TERMS:
-        u = step * (np.arange(first, first + 512) + 0.5)
-        angles = -beyond * u
-        logs = np.zeros(len(u))
-        for size, count in zip(sizes, counts, strict=True):
-            angles += count / 2 * np.arctan(2 * size * u)
-            logs += count / 4 * np.log1p((2 * size * u) ** 2)
-        total += float((np.sin(angles) * np.exp(-logs) / u).sum()) * step
-        if math.exp(-float(logs[-1])) / u[-1] < VANISHED:
-            break
-        first += 512
-    return min(max(0.5 + total / math.pi, 0.0), 1.0)
-
-
-FEWEST = 4  # directions that rows must see before some of them can say how far the others may move
-RANGE = np.geomspace(1e-2, 1e2, 121)  # times the priors that arms may differ from their drawing
-ROUNDING = 1e-12
-LARGEST = 700.0  # whose exponential is still a number
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,11 +21,22 @@ from casacal.values import Array, FrozenMapping, Value
 SETTLED = 0.003  # relative change of the factor that ends the search
 MOST_ROUNDS = 30  # fits to find it; each round leaves the part of its error that unknowns have of the rows
 UNEQUAL = 1e-3  # chance of faces alike at which they are taken to differ in noise
-
-SMOOTH = 4.0
-"""Standard deviations beyond which the mean product of a face's neighbouring residuals is not that of noise."""
-
+SMOOTH = 4.0  # standard deviations beyond which products of a face's neighbouring residuals are not those of noise
 FEWEST = 8.0  # degrees of freedom of a face that can tell its own noise
+LACKING = 0.01  # chance of so large an F below which repeats share an error that the model does not describe
+EXACT = 1e-18  # variance of repeats over that between places, below which they do not scatter at all: rounding
+EXPECTED = 15e-6  # rad, joint repeatability to expect of an industrial arm; 15 to 30 urad, some 0.05 mm at the tip
+DOUBT = 2.5  # times by which that may well be off
+LOOSE, LOOSE_DOUBT = 300e-6, 3.0  # of one joint with play in its gear, rad, and times by which that may be off
+LOOSEST = 5e-3  # rad beyond which no gear has play, and something else stands behind it
+RARE = -math.log(300)  # one arm of fifty has such a joint, and it is one of six
+KNOWN = 1.3  # times by which the rest of the noise may well exceed what was stated, where the joints explain the noise
+PARTS = (0.5, 0.8, 1.0, 1.2)  # of the noise beyond the stated, tried as the joints'; with weights of its own more
+WORTH_A_LOOK = 1.0  # standard deviations by which touches that see more of the joints must err more to be tried
+LOOSE_WORTH_A_LOOK = 3.0  # likewise for one joint alone, which nobody suspects without a reason
+WORTH = 2.0  # gain in log likelihood from which noise that is alike for all rows is put down to the joints
+SMALLEST = 1e-3  # part of a row's variance that its own residual must hold to be judged by it
+MOST_ROWS = 4096  # rows, evenly over all, at which is looked whether more should be tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,18 +83,14 @@ def found_noise(bound: BoundProblem, loss: Loss | None = None) -> Noise:
         used = {OTHERS: scale, SHARED: shared} if shared else {OTHERS: scale}
         result = lm(bound.with_noise(used), start=result.x, loss=loss)
     own = None if shared else _by_face(result, scale)
-    return noise_over_stated(result if own is None else _settled_by_face(bound, result, own, loss))
-
-
-def _settled_by_face(bound: BoundProblem, result: Result, scale: Mapping[str, float], loss: Loss | None) -> Result:
-    """The fit with a factor for each face."""
-    for _ in range(MOST_ROUNDS):
-        result = lm(bound.with_noise(scale), start=result.x, loss=loss)
-        found = _by_face(result, 1.0, scale)
-        if found is None or max(abs(math.log(found[name] / scale[name])) for name in found) < SETTLED:
+    for _ in range(MOST_ROUNDS):  # a factor for each face
+        if own is None:
             break
-        scale = found
-    return result
+        result, before_it = lm(bound.with_noise(own), start=result.x, loss=loss), own
+        own = _by_face(result, 1.0, before_it)
+        if own is None or max(abs(math.log(own[name] / before_it[name])) for name in own) < SETTLED:
+            break
+    return noise_over_stated(result)
 
 
 def noise_over_stated(result: Result) -> Noise:
@@ -121,8 +128,7 @@ def _by_face(result: Result, common: float, scale: Mapping[str, float] | None = 
         return None
     kept = result.weights >= HALF_WEIGHT
     squares, free = bound.residual(result.x) ** 2 * kept, kept - leverages(bound, result) * kept
-    codes = faces.codes
-    total, freedom = (np.bincount(codes, each, len(faces.names)).astype(np.float64) for each in (squares, free))
+    total, freedom = (np.bincount(faces.codes, each, len(faces.names)).astype(np.float64) for each in (squares, free))
     if (freedom < FEWEST).any():
         return None
     if scale is None:
@@ -157,29 +163,17 @@ def bartlett(total: Array, freedom: Array) -> float:
     return float(gammaincc((faces - 1) / 2, max(spread / correction, 0.0) / 2))
 
 
-LACKING = 0.01
-"""Chance of so large an F below which repeats are taken to share an error that the model does not describe."""
-
-EXACT = 1e-18  # variance of repeats over that between places, below which they do not scatter at all: rounding
-
-
 @dataclass(frozen=True)
 class PureError:
     """Pure error from repeated touches; all ratios are to the stated noise."""
 
-    places: int
-    """Postures that were touched more than once."""
-    ratio: float
-    """Scatter of repeats about their mean."""
+    places: int  # postures that were touched more than once
+    ratio: float  # scatter of repeats about their mean, and its 95 % interval
     low: float
     high: float
-    """Its 95 % interval."""
-    f: float
-    """Mean square between postures, after the fit, over that within them."""
-    chance: float
-    """Chance of so large an F where the model describes all but the scatter of repeats."""
-    shared: float
-    """Part of the variance of a touch that its repeats share; zero where F is no surprise."""
+    f: float  # mean square between postures, after the fit, over that within them
+    chance: float  # of so large an F where the model describes all but the scatter of repeats
+    shared: float  # part of a touch's variance that its repeats share; zero where F is no surprise
 
 
 def repeats_in(bound: BoundProblem) -> Repeats:
@@ -205,10 +199,8 @@ def pure_error(result: Result, again: Repeats) -> PureError | None:
     assert isinstance(bound, BoundProblem)
     if not again.any or len(again.sizes) < 2:
         return None
-    scale = bound.scale
-    of_a_touch = bound.residual(result.x) * bound.noise_factors(scale)
-    faces = bound.noise_factors(by_face(scale))
-    r = of_a_touch / faces
+    of_a_touch = bound.residual(result.x) * bound.noise_factors(bound.scale)
+    r = of_a_touch / bound.noise_factors(by_face(bound.scale))
     mean = again.summed(r) / again.sizes
     within, freedom = float(((r - mean[again.codes]) ** 2).sum()), float(len(r) - len(mean))
     left = max(len(mean) - effective_unknowns(bound, result.x), 1.0)
@@ -224,30 +216,6 @@ def pure_error(result: Result, again: Repeats) -> PureError | None:
     total = float(((of_a_touch - (again.summed(of_a_touch) / again.sizes)[again.codes]) ** 2).sum())
     ratio, low, high = ratio_interval(total, freedom)
     return PureError(int((bound.repeats.sizes > 1).sum()), ratio, low, high, f, chance, shared)
-
-
-EXPECTED = 15e-6
-"""Joint repeatability to expect of an industrial arm, rad; 15 to 30 urad are usual, some 0.05 mm at the tip."""
-
-DOUBT = 2.5  # times by which that may well be off
-LOOSE, LOOSE_DOUBT = 300e-6, 3.0  # of one joint with play in its gear, rad, and times by which that may be off
-LOOSEST = 5e-3  # rad beyond which no gear has play, and something else stands behind it
-RARE = -math.log(300)  # one arm of fifty has such a joint, and it is one of six
-KNOWN = 1.3  # times by which the rest of the noise may well exceed what was stated, where the joints explain the noise
-
-PARTS = (0.5, 0.8, 1.0, 1.2)
-"""Parts of the noise beyond what was stated that are tried as the joints'; with weights of its own it may be more."""
-
-WORTH_A_LOOK = 1.0
-"""Standard deviations by which touches that see more of the joints must err more, for more to be tried."""
-
-LOOSE_WORTH_A_LOOK = 3.0  # likewise for one joint alone, which nobody suspects without a reason
-
-WORTH = 2.0
-"""Gain in the logarithm of the likelihood from which noise that is alike for all rows is put down to the joints."""
-
-SMALLEST = 1e-3  # part of a row's variance that its own residual must hold to be judged by it
-MOST_ROWS = 4096  # rows, evenly over all, at which is looked whether more should be tried
 
 
 def erring_joints(bound: BoundProblem, x: Array, equations: NormalEquations) -> list[int]:
@@ -281,8 +249,7 @@ def erring_joints(bound: BoundProblem, x: Array, equations: NormalEquations) -> 
 
 def with_joints(whole: BoundProblem, found: BoundProblem, joints: Sequence[int]) -> Iterator[BoundProblem]:
     """Copies in which parts of the noise found beyond the stated are put down to all joints (0) or to one alone."""
-    scale = found.scale
-    shared = of_repeats(scale)
+    shared = of_repeats(found.scale)
     level, own = (float((each.noise**2).mean()) for each in (found, found.with_noise(shared)))
     for joint in joints if level > own else ():
         square = float((whole.joint_noise(joint) ** 2).mean())

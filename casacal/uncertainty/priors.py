@@ -20,6 +20,11 @@ from casacal.uncertainty.evidence import NormalEquations, evidence, normal_equat
 from casacal.uncertainty.tip_error import without_rigid, workspace_joints
 from casacal.values import Array, FrozenMapping, Index, Value
 
+MOST = math.log(100.0)  # logarithm of the times beyond which no prior is scaled
+ROUNDS, SETTLED = 6, 1e-3  # moves of fits to where scaled priors have them; change of the logarithms that is none
+STEP = 0.05  # step of the logarithms for the curvature, from which the intervals come
+NORMAL_95 = 1.959964  # quantile of the normal distribution for 95 %
+
 
 def prior_tip_rms(problem: Problem) -> float:
     """Tip error (mm RMS over the workspace) that the priors of the arm's parameters predict.
@@ -49,25 +54,20 @@ def scaled_to_accuracy(problem: Problem, accuracy: float) -> Problem:
         raise ProblemError(f"The maker's accuracy is {accuracy:g} mm", f"Give mm, {FINEST} or more")
     present = prior_tip_rms(problem)
     if not 0 < present < math.inf:
-        raise ProblemError(
-            f"The arm's priors predict a tip error of {present:g} mm", "Give finite priors before scaling them"
-        )
-    factor = accuracy / present
+        what = f"The arm's priors predict a tip error of {present:g} mm"
+        raise ProblemError(what, "Give finite priors before scaling them")
+    return _scaled(problem, {}, accuracy / present)
+
+
+def _scaled(problem: Problem, times: Mapping[str, float], others: float = 1.0) -> Problem:
+    """Copy of a problem with the arm's finite priors scaled by a factor for each unit."""
     stds = {
-        name: factor * float(std)
+        name: times.get(unit, others) * float(std)
         for key, unknown in problem.robot.parameters.items()
-        for name, std in zip(unknown.names(key), unknown.prior_stds, strict=True)
+        for name, unit, std in zip(unknown.names(key), unknown.units, unknown.prior_stds, strict=True)
+        if math.isfinite(std)
     }
     return problem.with_prior(stds)
-
-
-MOST = math.log(100.0)  # logarithm of the times beyond which no prior is scaled
-
-ROUNDS, SETTLED = 6, 1e-3
-"""How often fits are moved to where they stand under the scaled priors, and change of the logarithms that is none."""
-
-STEP = 0.05  # step of the logarithms for the curvature, from which the intervals come
-NORMAL_95 = 1.959964  # quantile of the normal distribution for 95 %
 
 
 class CalibrationFit(Protocol):
@@ -95,22 +95,12 @@ class LearnedPriors(Value):
 
     def of(self, problem: Problem) -> Problem:
         """Copy of a problem with the arm's finite priors scaled so."""
-        stds = {
-            name: self.times.get(unit, 1.0) * float(std)
-            for key, unknown in problem.robot.parameters.items()
-            for name, unit, std in zip(unknown.names(key), unknown.units, unknown.prior_stds, strict=True)
-            if math.isfinite(std)
-        }
-        return problem.with_prior(stds)
+        return _scaled(problem, self.times)
 
     def __repr__(self) -> str:
-        said = [
-            f"{unit} times {self.times[unit]:.2g} ({low:.2g} to {high:.2g})"
-            for unit, (low, high) in self.intervals.items()
-        ]
-        return (
-            f"<Priors as {self.arms} arm{'s' * (self.arms != 1)} show{'s' * (self.arms == 1)} them: {', '.join(said)}>"
-        )
+        ends = ((unit, f"{low:.2g} to {high:.2g}") for unit, (low, high) in self.intervals.items())
+        said = ", ".join(f"{unit} times {self.times[unit]:.2g} ({between})" for unit, between in ends)
+        return f"<Priors as {self.arms} arm{'s' * (self.arms != 1)} show{'s' * (self.arms == 1)} them: {said}>"
 
 
 def learned_priors(calibrations: Iterable[CalibrationFit]) -> LearnedPriors:
@@ -133,8 +123,7 @@ def learned_priors(calibrations: Iterable[CalibrationFit]) -> LearnedPriors:
         said = f"Got {came(wrong[0])} as a calibration"
         raise CasacalError(said, "Give what calibrate returns; files do not hold the rows")
     arms = [_Arm.of(each.fit, each.result.x) for each in fitted]
-    units = sorted(arms[0].units)
-    if not units:
+    if not (units := sorted(arms[0].units)):
         raise CasacalError("The arm has no parameter with a finite prior", "Give priors before scaling them")
     if any(not arms[0].alike(arm) for arm in arms[1:]):
         raise CasacalError("The calibrations are of arms with different priors", "Give those of one problem")
@@ -143,7 +132,7 @@ def learned_priors(calibrations: Iterable[CalibrationFit]) -> LearnedPriors:
 
     def unlikely(logs: Array) -> float:
         times = dict(zip(units, np.exp(logs), strict=True))
-        return -sum(arm.evidence(times) for arm in arms)
+        return -sum(evidence(arm.rows, np.diag(arm.scaled(times))) for arm in arms)
 
     best = np.zeros(len(units))
     for _ in range(ROUNDS):
@@ -185,10 +174,6 @@ class _Arm:
         for unit, places in self.units.items():
             prior[places] /= times[unit] ** 2
         return prior
-
-    def evidence(self, times: Mapping[str, float]) -> float:
-        """Logarithm of the likelihood of the rows where priors are so many times as wide, but for a constant."""
-        return evidence(self.rows, np.diag(self.scaled(times)))
 
     def moved(self, times: Mapping[str, float]) -> _Arm:
         """Rows relinearised at the fit under that prior."""

@@ -16,12 +16,13 @@ from casacal.values import Array, Box, Index
 WORKSPACE_POSES = 400
 NATURAL_UNITS = {"rad": 1e-3, "mm": 1.0}
 FEW_POSES = 10
-
-
 FEW_UNKNOWNS = 100
-
 OF_THE_FLANGE = 0.01  # motion of the flange over that of the tip, below which an unknown is the tool's
 BLIND_FIELD = 1e-9  # motion (mm per unit) below which a tip does not see an unknown
+RANK_TOLERANCE = 1e-9  # fraction of the largest singular value below which a direction counts as null
+FIELD_TOLERANCE = 1e-4  # of the largest tip motion, below which it is none, and above what null directions mix in
+TRIES = 40_000  # random joint values among which those inside a box are looked for
+FEWEST = 20
 
 
 def workspace_joints(robot: Robot, *, poses: int = WORKSPACE_POSES, seed: int = 0) -> Array:
@@ -31,8 +32,7 @@ def workspace_joints(robot: Robot, *, poses: int = WORKSPACE_POSES, seed: int = 
 
 def rigid_fields(tips: Array, about: Array) -> Array:
     """Six rigid displacement fields (3 N, 6) of tips (N, 3): three shifts, three turns about a point (3,)."""
-    arms = tips - about
-    turns = [np.cross(axis, arms).ravel() for axis in np.eye(3)]
+    turns = [np.cross(axis, tips - about).ravel() for axis in np.eye(3)]
     shifts = [np.tile(axis, len(tips)) for axis in np.eye(3)]
     return np.column_stack([*shifts, *turns])
 
@@ -105,20 +105,11 @@ def marginal_scale_std(bound: ArmProblem) -> float:
     F the data's information. The prior lets the lengths err one by one, so some of eps hides among them: this is larger
     than the posterior standard deviation of the arm's size, and the more so the looser the prior.
     """
-    information, direction = bound.information(bound.x0), scale_direction(bound)
-    scale = bound.start_std
+    information, direction, scale = bound.information(bound.x0), scale_direction(bound), bound.start_std
     pull = information @ direction
     inner = scale[:, None] * (information + bound.prior_information) * scale
     left = float(direction @ pull) - float((scale * pull) @ np.linalg.lstsq(inner, scale * pull, rcond=1e-14)[0])
     return float(1.0 / np.sqrt(max(left, 1e-300)))
-
-
-RANK_TOLERANCE = 1e-9  # fraction of the largest singular value below which a direction counts as null
-
-
-FIELD_TOLERANCE = 1e-4
-"""Fraction of the largest tip motion below which a direction counts as not moving the tip: well below a micrometre
-under usual priors, and above what rank tolerance times condition mixes into null directions."""
 
 
 def row_space(rows: Array) -> tuple[int, Array]:
@@ -127,17 +118,14 @@ def row_space(rows: Array) -> tuple[int, Array]:
     return int((sizes > RANK_TOLERANCE * max(float(sizes.max(initial=0.0)), 1e-300)).sum()), right
 
 
-def bayesian_bound(
-    information: Array, prior: Array, tip_jacobian: Array, tips: Array, off: Array | None = None
-) -> float:
+def bayesian_bound(information: Array, prior: Array, tip_jacobian: Array, tips: Array) -> float:
     """Smallest RMS tip error (mm) over the workspace, apart from rigid motion, that data and prior allow.
 
     sqrt(trace(H (F + Lambda)^-1 H') / N): F and Lambda the information of data and prior (n, n), H the tips' Jacobian
     (3 N, n) with the rigid fields projected out, N tips (N, 3). Infinite when a flat direction that the data do not see
     moves a tip.
-    `off` as for `tip_stds`.
     """
-    return spread_rms(posterior_covariance(information, prior), tip_jacobian, tips, off)
+    return spread_rms(posterior_covariance(information, prior), tip_jacobian, tips)
 
 
 def spread_rms(covariance: Array, tip_jacobian: Array, tips: Array, off: Array | None = None) -> float:
@@ -177,10 +165,6 @@ def flange_jacobian(bound: ArmProblem, x: Array, joints: Array) -> tuple[Array, 
 def natural_scale(problem: LeastSquares) -> Array:
     """Natural scale of each unknown (n,), independent of its prior: 1 mrad, 1 mm."""
     return np.array([NATURAL_UNITS.get(unit, 1.0) for unit in problem.units])
-
-
-TRIES = 40_000  # random joint values among which those inside a box are looked for
-FEWEST = 20
 
 
 def planned_accuracy(bound: ArmProblem) -> tuple[float, float]:
@@ -240,9 +224,8 @@ def accuracy_in_box(bound: ArmProblem, x: Array, box: Box, off: Array | None = N
     Raises CasacalError when the arm hardly reaches the box.
     """
     joints, frame = joints_in_box(bound, x, box), workspace_joints(bound.problem.robot)
-    field = up_to_base(
-        bound.tip_jacobian(x, joints), bound.tips(x, joints), bound.tip_jacobian(x, frame), bound.tips(x, frame)
-    )
+    here, there = ((bound.tip_jacobian(x, each), bound.tips(x, each)) for each in (joints, frame))
+    field = up_to_base(*here, *there)
     covariance = bound.posterior(bound.information(x if off is None else x + off), x)
     stds = np.linalg.norm(tip_stds(covariance, field, off), axis=1)
     return math.sqrt(float((stds**2).mean())), float(stds.max())
@@ -258,8 +241,6 @@ def joints_in_box(bound: ArmProblem, x: Array, box: Box) -> Array:
     tips = bound.tips(x, tried)
     joints = tried[((tips >= low) & (tips <= high)).all(axis=1)][:WORKSPACE_POSES]
     if len(joints) < FEWEST:
-        raise CasacalError(
-            f"Only {len(joints)} of {TRIES} random postures put the tip inside the box",
-            "Choose a box in the arm's reach",
-        )
+        what = f"Only {len(joints)} of {TRIES} random postures put the tip inside the box"
+        raise CasacalError(what, "Choose a box in the arm's reach")
     return np.asarray(joints)

@@ -1,21 +1,23 @@
-"""The arm's error as fresh rows show it, noise removed, and acceptance against a tolerance at a stated risk."""
+"""The arm's error as fresh rows show it, noise removed; acceptance against a tolerance at a stated risk; pictures."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from markupsafe import Markup
 from scipy.special import gammainc, gammainccinv, gammaincinv
 
 from casacal.calibration.fresh import Fresh, guesses
 from casacal.deployment.arm import CalibratedArm
+from casacal.pages.drawing import Panel, figure, fixed, mm, number, picture, shortened, tag
 from casacal.uncertainty.fresh_rows import spanned
-from casacal.values import Array
+from casacal.values import Array, Index, Rows
 
 Conformity: TypeAlias = Literal["accept", "reject", "undecided"]
 
@@ -23,6 +25,22 @@ RISK = 0.05  # chance of a wrong decision of an arm at the tolerance, unless ano
 POWER = 0.8  # chance with which so many more rows as are named settle it
 MOST_TIMES = 50.0  # times as many rows beyond which nobody takes them
 SMALLEST = 1e-300
+USUAL, AS_ROWS = 5.0, 20.0
+"""Variance of the squares of one component over the square of their mean, as it may well be, and how many rows that
+counts as. It is 2 of a normal distribution; of four arms calibrated from planes half had 2 to 4, a few over 10."""
+SURE = 0.01  # chance below which residuals are too small for the noise that was stated
+ALONE = 0.3  # standard deviation of the arm's error over that of noise below which a direction holds noise alone
+TENTH = 0.9  # found over stated noise below which the calibration's rows say so
+BEYOND = 0.025  # chance that the error lies beyond either end of its interval
+FEWEST = 12  # rows of a part that are told with an interval of their own
+NARROW = 0.25  # part of the longest side of the volume below which another side is not divided
+ROUND = 10.0  # multiple of mm at which the volume is divided
+LONGEST = 60  # characters of a label in a table
+NAMES = {"all": "", "face": "face ", "region": "tip at "}
+MOST = 16  # parts that have a place in the picture
+EACH, TOP, BOTTOM = 40.0, 26.0, 44.0  # height of a part, and of what stands above and below all of them
+DECADES = 5  # powers of ten that the axis spans at most
+GREY, BLUE, ORANGE, INK = "#8b949f", "#1d5f9e", "#c2560c", "#1b2330"
 
 
 @dataclass(frozen=True)
@@ -61,6 +79,11 @@ class Scatter:
         """Lower confidence limit of the error: so large a square, or a larger one, has this chance; noise is `most`."""
         quantile = float(gammainccinv(self.half, chance)) / self.half
         return math.sqrt(max(self.square / quantile - self.most, 0.0))
+
+    @property
+    def interval(self) -> ErrorInterval:
+        """The error, between what it lies with a chance of 95 %."""
+        return ErrorInterval(self.measured_mm, self.lower_mm(BEYOND), self.upper_mm(BEYOND))
 
     def conformance(self, tolerance: float) -> float:
         """Probability that the error is within a tolerance (mm)."""
@@ -127,45 +150,29 @@ def decide(scatter: Scatter, effective_rows: float, tolerance: float, risk: floa
     further = _further(scatter, effective_rows, tolerance, risk) if verdict == "undecided" else None
     rests = verdict == "accept" and replace(scatter, noise=0.0).upper_mm(risk) > tolerance
     within = scatter.conformance(tolerance)
-    return Decision(
-        verdict, tolerance, risk, measured, within, accept, reject, further_rows=further, rests_on_noise=rests
-    )
+    return Decision(verdict, tolerance, risk, measured, within, accept, reject, further, rests_on_noise=rests)
 
 
 def _further(scatter: Scatter, effective_rows: float, tolerance: float, risk: float) -> int | None:
     """Further rows that would settle it if the error is as measured; None beyond `MOST_TIMES` the rows."""
+    measured = scatter.measured_mm
+    within = measured < tolerance
+
+    def settles(times: float) -> bool:
+        more = replace(scatter, freedom=scatter.freedom * times)
+        at = float(gammainccinv(more.half, 1 - POWER if within else POWER)) / more.half
+        observed = math.sqrt(max((measured**2 + scatter.noise) * at - scatter.noise, 0.0))
+        if within:
+            return replace(more, square=observed**2 + scatter.noise).upper_mm(risk) <= tolerance
+        return observed >= more.reject_above_mm(tolerance, risk)
+
     low, high = 1.0, MOST_TIMES
-    if not _settles(scatter, high, tolerance, risk):
+    if not settles(high):
         return None
     for _ in range(40):
         middle = math.sqrt(low * high)
-        low, high = (low, middle) if _settles(scatter, middle, tolerance, risk) else (middle, high)
+        low, high = (low, middle) if settles(middle) else (middle, high)
     return max(math.ceil((high - 1) * effective_rows), 1)
-
-
-def _settles(scatter: Scatter, times: float, tolerance: float, risk: float) -> bool:
-    """Whether `times` the rows would settle it, if the error is as measured."""
-    measured = scatter.measured_mm
-    more = replace(scatter, freedom=scatter.freedom * times)
-    within = measured < tolerance
-    at = float(gammainccinv(more.half, 1 - POWER if within else POWER)) / more.half
-    observed = math.sqrt(max((measured**2 + scatter.noise) * at - scatter.noise, 0.0))
-    if within:
-        return replace(more, square=observed**2 + scatter.noise).upper_mm(risk) <= tolerance
-    return observed >= more.reject_above_mm(tolerance, risk)
-
-
-USUAL, AS_ROWS = 5.0, 20.0
-"""Variance of the squares of one component over the square of their mean, as it may well be, and how many rows that
-counts as. It is 2 of a normal distribution; of four arms calibrated from planes half had 2 to 4, a few over 10."""
-
-SURE = 0.01  # chance below which residuals are too small for the noise that was stated
-ALONE = 0.3  # standard deviation of the arm's error over that of noise below which a direction holds noise alone
-TENTH = 0.9  # found over stated noise below which the calibration's rows say so
-BEYOND = 0.025  # chance that the error lies beyond either end of its interval
-FEWEST = 12  # rows of a part that are told with an interval of their own
-NARROW = 0.25  # part of the longest side of the volume below which another side is not divided
-ROUND = 10.0  # multiple of mm at which the volume is divided
 
 
 @dataclass(frozen=True)
@@ -202,7 +209,7 @@ class VisibleError:
     """
 
     fresh: Fresh
-    kept: NDArray[np.intp]
+    kept: Index
     quieter: float = 1.0
 
     @cached_property
@@ -222,12 +229,12 @@ class VisibleError:
         return np.asarray(self.quieter * np.minimum(self.fresh.bound.with_noise().noise[self.kept], self.used))
 
     @cached_property
-    def leading(self) -> NDArray[np.bool_]:
+    def leading(self) -> Rows:
         """Residuals (k,) in mm where a row has others as well."""
         return self.fresh.bound.leading[self.kept]
 
     @cached_property
-    def sample_of(self) -> NDArray[np.intp]:
+    def sample_of(self) -> Index:
         """The row that each residual (k,) is of."""
         return np.asarray(self.fresh.bound.sample_of[self.kept], dtype=np.intp)
 
@@ -265,7 +272,7 @@ class VisibleError:
             plain = plain - self.basis @ (self.basis.T @ plain)
         return np.asarray(plain[:count] * self.used)
 
-    def scatter(self, residual: Array, rows: NDArray[np.intp] | None = None) -> Scatter | None:
+    def scatter(self, residual: Array, rows: Index | None = None) -> Scatter | None:
         """Scatter of residuals (k,), mm, of all or some rows; None where they do not observe the error."""
         counts = self._counted(rows)
         places, which = np.unique(self.sample_of[counts], return_inverse=True)
@@ -284,7 +291,7 @@ class VisibleError:
         uneven = (places.size * found + AS_ROWS * USUAL / parts) / (places.size + AS_ROWS)
         return Scatter(float(squares.sum()) / effective, min(noise, most), most, 2 * effective / (uneven * alike))
 
-    def _counted(self, rows: NDArray[np.intp] | None) -> NDArray[np.bool_]:
+    def _counted(self, rows: Index | None) -> Rows:
         """Which residuals (k,) are of some rows, or of all, and in mm."""
         return self.leading if rows is None else self.leading & np.isin(self.sample_of, rows)
 
@@ -307,7 +314,7 @@ class VisibleError:
         across = self.fresh.some(self.kept).across[: len(self.kept)]
         return np.asarray(self.used**2 * (across**2).sum(axis=1))
 
-    def promised_mm(self, rows: NDArray[np.intp]) -> float:
+    def promised_mm(self, rows: Index) -> float:
         """Error that the calibration expects of some rows, RMS."""
         counts = self._counted(rows)
         places = np.unique(self.sample_of[counts]).size
@@ -315,7 +322,7 @@ class VisibleError:
         return math.sqrt(float(self.promised[counts].sum()) / effective) if effective > 0 else math.nan
 
 
-def visible_error(arm: CalibratedArm, fresh: Fresh, without: NDArray[np.intp] | None = None) -> VisibleError:
+def visible_error(arm: CalibratedArm, fresh: Fresh, without: Index | None = None) -> VisibleError:
     """The arm's error as fresh rows observe it, all of them or without some residuals.
 
     Part of the stated noise may not be taken off, as it would hide the arm's error, where it was surely stated too
@@ -342,7 +349,7 @@ def errors_by_part(visible: VisibleError, drawn: Array) -> tuple[PartError, ...]
     bound, x = visible.fresh.bound, visible.fresh.x
     pair = visible.residual(drawn), visible.residual(x)
     faces = bound.block.samples.faces(bound.problem.instrument.groups)
-    everything: NDArray[np.intp] = np.arange(len(faces))
+    everything: Index = np.arange(len(faces))
     parts = [("all", "all rows", everything)]
     if len(faces.names) > 1:
         parts += [("face", label, rows) for label, rows in faces.rows().items() if len(rows) >= FEWEST]
@@ -351,15 +358,11 @@ def errors_by_part(visible: VisibleError, drawn: Array) -> tuple[PartError, ...]
     for kind, label, rows in parts:
         before, after = (visible.scatter(residual, rows) for residual in pair)
         if before is not None and after is not None:
-            drawn_as, as_calibrated = (
-                ErrorInterval(each.measured_mm, each.lower_mm(BEYOND), each.upper_mm(BEYOND))
-                for each in (before, after)
-            )
-            found.append(PartError(kind, label, len(rows), drawn_as, as_calibrated, visible.promised_mm(rows)))
+            found.append(PartError(kind, label, len(rows), before.interval, after.interval, visible.promised_mm(rows)))
     return tuple(found)
 
 
-def blocks(tips: Array) -> dict[str, NDArray[np.intp]]:
+def blocks(tips: Array) -> dict[str, Index]:
     """Rows of each block of the volume of some tips (N, 3; mm in the base frame), by its name.
 
     The two longest sides are halved at a round number near the median, or the longest alone; nothing where a half has
@@ -379,3 +382,89 @@ def blocks(tips: Array) -> dict[str, NDArray[np.intp]]:
         if len(found) > 1 and all(len(rows) >= FEWEST for rows in found.values()):
             return found
     return {}
+
+
+def error_rows(errors: Sequence[PartError]) -> list[list[str]]:
+    """Rows of a table: the error of each part as drawn and as calibrated, with intervals, and what was promised."""
+    rows = []
+    for part in errors:
+        each = [cell for error in (part.before, part.after) for cell in (fixed(error.mm), _between(error))]
+        label = shortened(NAMES[part.kind] + part.label, LONGEST)
+        rows.append([label, f"{part.rows:,}", *each, fixed(part.promised_mm)])
+    return rows
+
+
+def boxes(part: PartError | None, decision: Decision | None) -> list[tuple[str, str, str]]:
+    """The figures that stand first: title, value and what explains it; none where the rows say nothing of the arm."""
+    if part is None:
+        return []
+    shown = [
+        ("Error as drawn", mm(part.before.mm, 4), f"{_between(part.before)} mm"),
+        ("Error as calibrated", mm(part.after.mm, 4), f"{_between(part.after)} mm"),
+        ("Promised", mm(part.promised_mm, 4), "what the calibration expects, RMS"),
+    ]
+    if decision is not None:
+        accept = decision.accept_below_mm
+        limit = "noise hides it" if math.isnan(accept) else f"accepted up to {mm(accept, 4)}"
+        shown.append(("Tolerance", f"{decision.tolerance_mm:g} mm", f"{decision.verdict}; {limit}"))
+    return shown
+
+
+def _between(error: ErrorInterval) -> str:
+    return f"{fixed(error.low_mm)} to {fixed(error.high_mm)}"
+
+
+def errors_picture(errors: Sequence[PartError], decision: Decision | None) -> Markup:
+    """Error before and after: two intervals for each part, what was promised, and the tolerance, logarithmically."""
+    parts = errors[:MOST]
+    height = TOP + BOTTOM + EACH * len(parts)
+    each = [error for part in errors for error in (part.before, part.after)]
+    values = [value for error in each for value in (error.mm, error.low_mm, error.high_mm)]
+    values += [*(part.promised_mm for part in errors), *([] if decision is None else [decision.tolerance_mm])]
+    shown = [value for value in values if 0 < value < math.inf] or [1.0]
+    high = math.ceil(math.log10(max(shown)) + 1e-9)
+    low = min(max(math.floor(math.log10(min(shown)) - 1e-9), high - DECADES), high - 1)
+    panel = Panel((float(low), float(high)), (0.0, 1.0), height, left=24.0, right=24.0, top=TOP, bottom=BOTTOM)
+    axis, foot = [], height - BOTTOM
+    for power in range(low, high + 1):
+        x = number(float(panel.across(power)))
+        axis.append(tag("path", at={"d": f"M{x} {number(TOP)}V{number(foot)}", "class": "grid"}))
+        axis.append(tag("text", f"{10.0**power:g}", at={"x": x, "y": number(foot + 18), "class": "middle"}))
+    axis.append(tag("text", "error, mm RMS", at={"x": "200", "y": number(height - 6), "class": "middle title"}))
+    axis.append(tag("text", "Before and after, with intervals of 95 %", at={"x": "4", "y": "14", "class": "title"}))
+    drawn = [tag("g", *axis)]
+    for k, part in enumerate(parts):
+        y = TOP + EACH * k
+        label = shortened(f"{NAMES[part.kind]}{part.label} ({part.rows:,})", 52)
+        drawn.append(tag("text", label, at={"x": number(panel.left), "y": number(y + 12)}))
+        drawn += [_interval(panel, part.before, y + 20, GREY), _interval(panel, part.after, y + 30, BLUE)]
+        if part.promised_mm > 0 and math.isfinite(part.promised_mm):
+            drawn.append(_upright(panel, part.promised_mm, y + 25, y + 35, INK))
+    if decision is not None:
+        drawn.append(_upright(panel, decision.tolerance_mm, TOP, foot, ORANGE))
+    says = "; ".join(f"{part.label}: {part.before.mm:.4f} before, {part.after.mm:.4f} after" for part in parts)
+    more = "" if len(errors) <= MOST else f" {len(errors) - MOST} more stand in the table."
+    tolerance = "" if decision is None else " The orange line is the tolerance."
+    return figure(
+        "Error of the arm as drawn (grey) and as calibrated (blue), RMS, with intervals of 95 %; one that reaches the "
+        f"left edge reaches zero. Dark strokes are what the calibration promised.{tolerance}{more}",
+        picture("errors-picture", "Error before and after, with intervals", f"In mm: {says}.", height, *drawn),
+    )
+
+
+def _place(panel: Panel, value: float) -> str:
+    """Picture units of a value; what is beyond the axis stands at its end."""
+    power = math.log10(value) if 0 < value < math.inf else (math.inf if value > 0 else -math.inf)
+    return number(float(panel.across(min(max(power, panel.x[0]), panel.x[1]))))
+
+
+def _interval(panel: Panel, error: ErrorInterval, y: float, colour: str) -> Markup:
+    a, b, at = (_place(panel, value) for value in (error.low_mm, error.high_mm, error.mm))
+    bar = tag("path", at={"d": f"M{a} {number(y)}H{b}", "stroke": colour, "stroke-width": "2.5", "fill": "none"})
+    dot = tag("path", at={"d": f"M{at} {number(y)}h.1", "class": "spot", "stroke": colour})
+    return tag("g", bar, dot)
+
+
+def _upright(panel: Panel, value: float, top: float, foot: float, colour: str) -> Markup:
+    path = f"M{_place(panel, value)} {number(top)}V{number(foot)}"
+    return tag("path", at={"d": path, "stroke": colour, "stroke-width": "1.75", "fill": "none"})

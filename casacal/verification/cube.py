@@ -29,7 +29,6 @@ ROUND = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2  # corners of the pla
 STOPS = 11  # normal planes in which the path is judged
 LEAD = 0.02  # of the diagonal: the path begins and ends so far outside the part that is judged (8.2)
 SPINS = np.arange(4) * math.pi / 2  # turns of the tool about the plane's normal that are tried
-
 BANK, STARTS = 4096, 6  # random postures, and how many of them lead to the centre of a given cube
 GRID, LEADERS, FINEST = 5, 4, 0.03  # places along an axis where cubes are sought, those kept; last step over the reach
 GROWTH = np.arange(0.1, 1.6, 0.1)  # sides of a cube, over the reach
@@ -82,11 +81,10 @@ class CubePlan(Value):
     def sheet_text(self) -> str:
         """CSV to fill in: a line for each measurement, of cycles of poses and of the path; lines may stay empty."""
         path = [name for name in self.names if name.startswith("L")]
-        rows = [(k, name) for k in range(1, CYCLES + 1) for name in CYCLE]
-        rows += [(k, name) for k in range(1, PATH_CYCLES + 1) for name in path]
-        return f"# {MADE}: to be filled in\ncycle,point,x_mm,y_mm,z_mm\n" + "".join(
-            f"{k},{name},,,\n" for k, name in rows
-        )
+        lines = [f"# {MADE}: to be filled in", "cycle,point,x_mm,y_mm,z_mm"]
+        for cycles, points in ((CYCLES, CYCLE), (PATH_CYCLES, path)):
+            lines += [f"{k},{name},,," for k in range(1, cycles + 1) for name in points]
+        return "\n".join(lines) + "\n"
 
 
 def plan_cube(

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
@@ -56,13 +57,8 @@ class PoseAccuracy(Value):
 
     def to_dict(self) -> dict[str, Any]:
         """The figures and notes as a document for JSON."""
-        return {
-            "criteria": {name: vars(each) for name, each in self.criteria.items()},
-            "frame": self.frame,
-            "missing": self.missing,
-            "notes": list(self.notes),
-            "file": self.file,
-        }
+        criteria, notes = {name: vars(each) for name, each in self.criteria.items()}, list(self.notes)
+        return {"criteria": criteria, "frame": self.frame, "missing": self.missing, "notes": notes, "file": self.file}
 
     def table(self, before: PoseAccuracy | None = None) -> list[tuple[str, Criterion, Criterion | None, float | None]]:
         """Name, figure, figure before and the ratio of their sizes for each name, in their order; None where none was.
@@ -100,9 +96,8 @@ def pose_accuracy(
     rows = _Rows.of(_table(measured), [*commanded])
     notes = [f"{counted(rows.missing, 'line')} without a measurement"] if rows.missing else []
     sets = {name: rows.of_point(name) for name in commanded if not name.startswith("L")}
-    once = [name for name, each in sets.items() if len(each) < 2]
     kept = {name: each for name, each in sets.items() if len(each) >= 2}
-    if once:
+    if once := [name for name in sets if name not in kept]:
         notes.append(f"{listed(once)}: fewer than two measurements, so left out")
     if not kept and len(rows.paths()) < 2:
         raise SamplesError(rows.file, "no point was measured in two cycles", "Measure each in 30, and in 2 at least")
@@ -124,9 +119,8 @@ def pose_accuracy(
         criteria |= _path(rows, commanded, frame, notes)
     short = [n for name, each in criteria.items() if (n := each.cycles) < (PATH_CYCLES if name[1:] == "T" else CYCLES)]
     if short:
-        notes.append(
-            f"ISO 9283 asks for {CYCLES} cycles of poses and {PATH_CYCLES} of a path; some of these are of {min(short)}"
-        )
+        asked = f"{CYCLES} cycles of poses and {PATH_CYCLES} of a path"
+        notes.append(f"ISO 9283 asks for {asked}; some of these are of {min(short)}")
     return PoseAccuracy(FrozenMapping(criteria), kind, rows.missing, tuple(notes), rows.file)
 
 
@@ -169,9 +163,8 @@ class _Rows:
     def of(table: Table, known: Sequence[str]) -> _Rows:
         """Rows of a table, without those that were left empty."""
         if "tip_x_mm" in table.header:
-            raise SamplesError(
-                table.file, "these are targets, not what was measured", "Name a tracker's or dial's rows"
-            )
+            fix = "Name a tracker's or dial's rows"
+            raise SamplesError(table.file, "these are targets, not what was measured", fix)
         dial = any(re.fullmatch(r"reading(_\w+)?", name) for name in table.header) and "x_mm" not in table.header
         wanted = ("reading",) if dial else COORDINATES
         found = _lengths(table, wanted)
@@ -191,8 +184,8 @@ class _Rows:
                 fix = f"Name one of {', '.join(known[:8])}" + (", ..." if len(known) > 8 else "")
                 raise SamplesError(table.file, f"'{points[k]}' is no commanded point", fix, line=table.lines[k])
         cycles = table.column("cycle") if "cycle" in table.header else _in_order(points, known)
-        whole, lost = table, len(table.rows) - len(here)
-        table = replace(table, rows=tuple(whole.rows[k] for k in here), lines=tuple(whole.lines[k] for k in here))
+        lost = len(table.rows) - len(here)
+        table = replace(table, rows=tuple(table.rows[k] for k in here), lines=tuple(table.lines[k] for k in here))
         values = np.column_stack([np.array(table.numbers(column)) * factor for column, factor in found.values()])
         turned = set(QUATERNION) <= set(table.header)
         turns = np.column_stack([table.numbers(name) for name in QUATERNION]) if turned else None
@@ -278,9 +271,8 @@ def _frame(
     """Transform (4, 4) from the rows' frame to the base; None where nothing fixes one."""
     means = np.array([rows.values[list(each.values())].mean(axis=0) for each in kept.values()]).reshape(-1, 3)
     meant = np.array([commanded[name] for name in kept]).reshape(-1, 3)
-    size = max(
-        (float(np.linalg.norm(one - two)) for one in commanded.values() for two in commanded.values()), default=0
-    )
+    pairs = product(commanded.values(), repeat=2)
+    size = max((float(np.linalg.norm(one - two)) for one, two in pairs), default=0)
     for unit, factor in UNITS.items() if len(means) > 1 else ():
         ratio = np.linalg.norm(means - means.mean(axis=0)) / np.linalg.norm(meant - meant.mean(axis=0)) / factor
         if 1 / LIKE < ratio < LIKE:
@@ -343,9 +335,8 @@ def _distance(
 ) -> dict[str, Criterion]:
     """AD and RD (7.3) between P2 and P4, of cycles in which both were measured."""
     one, two = kept.get("P2", {}), kept.get("P4", {})
-    both = [cycle for cycle in one if cycle in two]
+    both, why = [cycle for cycle in one if cycle in two], "P2 and P4 were not both measured in two cycles"
     if len(both) < 2:
-        why = "P2 and P4 were not both measured in two cycles"
         why = "nothing tells which rows are of one cycle (add a column 'cycle')" if rows.cycles is None else why
         notes.append(f"AD and RD cannot be told: {why}")
         return {}
@@ -369,17 +360,12 @@ def _path(rows: _Rows, commanded: Mapping[str, Array], frame: Array, notes: list
         path = rows.values[cycle] @ frame[:3, :3].T + frame[:3, 3] - line[0]
         path = path[np.argsort(path @ along)]
         way = path @ along
-        if (
-            len(way) > 1
-            and way[0] <= planes[0]
-            and way[-1] >= planes[-1]
-            and np.diff(way).max() < 1.5 * np.diff(planes).max()
-        ):
+        whole = len(way) > 1 and way[0] <= planes[0] and way[-1] >= planes[-1]
+        if whole and np.diff(way).max() < 1.5 * np.diff(planes).max():
             found.append(np.column_stack([np.interp(planes, way, path[:, k]) for k in range(3)]) - line[1:-1] + line[0])
     if len(found) < len(paths) or len(found) < 2:
-        notes.append(
-            f"{len(found)} of {counted(len(paths), 'path')} cross all {len(planes)} normal planes without a gap"
-        )
+        which = f"{len(found)} of {counted(len(paths), 'path')}"
+        notes.append(f"{which} cross all {len(planes)} normal planes without a gap")
     if len(found) < 2:
         notes.append("AT and RT cannot be told: two whole paths are needed, with a column 'cycle'")
         return {}
@@ -392,9 +378,8 @@ def _path(rows: _Rows, commanded: Mapping[str, Array], frame: Array, notes: list
 
 def _of_dial(rows: _Rows, kept: Mapping[str, dict[str, int]], notes: list[str]) -> PoseAccuracy:
     """Scatter of readings along the dial's axis: the only thing that a dial tells of these figures."""
-    criteria = {
-        f"3s {name}": _criterion(three_sigma, rows.values[list(each.values()), 0]) for name, each in kept.items()
-    }
+    read = {name: rows.values[list(each.values()), 0] for name, each in kept.items()}
+    criteria = {f"3s {name}": _criterion(three_sigma, each) for name, each in read.items()}
     notes.append(
         "A dial sees one axis: 3s is three standard deviations of its readings. RP of ISO 9283 is of three axes, 1.2 "
         "times this where all scatter alike; AP, AD, RD, AT and RT cannot be told"

@@ -1,34 +1,58 @@
-"""Report of a verification: figures, sentences with the answer first, and a page."""
+"""Test a calibration by fresh rows, without fitting the arm again; the report with the answer first, and a page."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+import re
+from collections.abc import Collection
+from dataclasses import asdict, dataclass, replace
 from html import escape
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 from markupsafe import Markup
 
-from casacal.calibration.fresh import Judged
+from casacal.calibration.as_arm import AsArm
+from casacal.calibration.fresh import Fresh, Judged, Opened, opened
+from casacal.data.samples import Samples
+from casacal.deployment.arm import CalibratedArm
+from casacal.errors import CasacalError, SamplesError
+from casacal.model.problem import Problem
+from casacal.model.problem_file import ProblemFile
 from casacal.pages.drawing import fixed, rendered, shortened
-from casacal.values import Value
-from casacal.verification.arm_error import Decision, PartError
-from casacal.verification.page import LONGEST, boxes, error_rows, errors_picture
+from casacal.uncertainty.figures import rms
+from casacal.uncertainty.fresh_rows import FreshRows, learnt
+from casacal.uncertainty.fresh_rows import chance as chance_of
+from casacal.uncertainty.identifiability import prior_scale
+from casacal.uncertainty.tip_error import spread_rms, workspace_joints
+from casacal.values import Array, Index, Value, is_real
+from casacal.verification.arm_error import (
+    LONGEST,
+    RISK,
+    Decision,
+    PartError,
+    boxes,
+    decide,
+    error_rows,
+    errors_by_part,
+    errors_picture,
+    visible_error,
+)
 from casacal.wording import capital, chance, counted, figures, mm, numbered_lines
 from casacal.wording import shortened as first_few
 from casacal.wording import times as in_two
 
 LEVEL = 0.05
-"""Chance at which rows that are as promised are said not to be: at most one verification in twenty of a good arm.
-
-Two tests share it, of all residuals and of what they say of the arm alone.
-"""
-
+"""Chance at which rows that are as promised are said not to be: two tests share it, of all residuals and of the arm."""
 SHOWN = 12  # faces, or lines of rows, that are named one by one
 CERTAIN = 0.9999  # probability beyond which nobody asks how near to one
 VERDICTS = {"accept": "Accepted", "reject": "Rejected", "undecided": "Undecided"}
-
+BEFORE = '<section id="measured"'  # where a section is put into another report
+STANDING = re.compile(r'<section id="verified".*?</section>\n*', re.DOTALL)
+REPORT = "report.html"
 WORTH_SAYING = 1.05  # noise over noise beyond which a difference is worth saying
+LEAST_RISK = 1e-4  # risk below which nobody knows the noise well enough
 
 
 @dataclass(frozen=True)
@@ -132,12 +156,9 @@ class Verification(Value):
         """All of it in JSON's own types, as `casacal verify --json` prints it."""
         instead: dict[str, Any] = {name: [asdict(part) for part in getattr(self, name)] for name in ("faces", "errors")}
         if self.decision is not None:
-            instead["decision"] = {
-                **asdict(self.decision),
-                "guard_mm": self.decision.guard_mm,
-                "guard_of_rejection_mm": self.decision.guard_of_rejection_mm,
-                "rule": "JCGM 106:2012, guarded acceptance and guarded rejection",
-            }
+            guards = {name: getattr(self.decision, name) for name in ("guard_mm", "guard_of_rejection_mm")}
+            rule = "JCGM 106:2012, guarded acceptance and guarded rejection"
+            instead["decision"] = {**asdict(self.decision), **guards, "rule": rule}
         if self.denied or not self.kept:  # no figure of accuracy beside a verdict that denies it
             instead["promised_tip_mm"] = instead["hidden_tip_mm"] = math.nan
         return self.judged.document({"kept": self.kept, "passed": self.passed}, self, instead)
@@ -152,8 +173,7 @@ class Verification(Value):
         return rendered("verified.html", {"part_of_report": True, **_context(self)})
 
     def __repr__(self) -> str:
-        said = "kept" if self.kept else "not kept"
-        p = min(self.p, self.arm_p)
+        said, p = "kept" if self.kept else "not kept", min(self.p, self.arm_p)
         return f"<Verification of {self.judged.robot} by {self.judged.rows} fresh rows: promise {said}, p {p:.3g}>"
 
     def _repr_html_(self) -> str:
@@ -196,17 +216,20 @@ def _paragraphs(found: Verification, *, whole: bool = True) -> list[str]:
         f"Chi-square {found.chi_square:.3g} with {found.freedom} degrees of freedom, {chance(found.p)}; of the "
         f"arm alone {found.arm_chi_square:.3g} with {found.seen}, {chance(found.arm_p)}. The promise is kept if both p "
         f"are at least {LEVEL / 2:g}. The arm was not fitted; {found.judged.fitted_words(own)}.",
-        *(_face(found, face) for face in found.faces[:SHOWN]),
+        *(
+            f"  {face.label}: {counted(face.rows, 'row')}, {in_two(face.after_mm)} {found.unit} RMS, "
+            f"{in_two(face.predicted_mm)} predicted (as drawn: {in_two(face.before_mm)}); chi-square "
+            f"{face.chi_square:.3g} / {face.freedom}, {chance(face.p)}"
+            for face in found.faces[:SHOWN]
+        ),
         *([f"{len(found.faces) - SHOWN} more faces with --json."] if len(found.faces) > SHOWN else []),
     ]
     gross = []
     if found.gross_lines:
-        fit, without = ("does not fit", "it") if len(found.gross_lines) == 1 else ("do not fit", "them")
+        fit, it = ("does not fit", "it") if len(found.gross_lines) == 1 else ("do not fit", "them")
         kept = "is kept" if found.kept_without_gross else "is not kept either"
-        gross = [
-            f"{capital(numbered_lines(found.gross_lines))} of {found.judged.samples} {fit} the other rows: measure "
-            f"{without} again. Without {without} the promise {kept}."
-        ]
+        lines = f"{capital(numbered_lines(found.gross_lines))} of {found.judged.samples}"
+        gross = [f"{lines} {fit} the other rows: measure {it} again. Without {it} the promise {kept}."]
     return [
         _answer(found),
         *found.judged.own_verdict,
@@ -239,22 +262,12 @@ def _answer(found: Verification) -> str:
     return f"Promise kept{verdict}: {found.judged.said} agree with the calibration of {found.judged.robot}."
 
 
-def _face(found: Verification, face: FaceVerification) -> str:
-    return (
-        f"  {face.label}: {counted(face.rows, 'row')}, {in_two(face.after_mm)} {found.unit} RMS, "
-        f"{in_two(face.predicted_mm)} predicted (as drawn: {in_two(face.before_mm)}); chi-square "
-        f"{face.chi_square:.3g} / {face.freedom}, {chance(face.p)}"
-    )
-
-
 def _errors(found: Verification) -> list[str]:
     """The error of all rows, of each face, of each region, and the noise that was taken off."""
     if found.overall is None:
         return []
-    lines = [
-        f"The arm's {found.measurand}, noise removed, RMS over postures of this kind: {_interval(found.overall)}. "
-        "Brackets are 95 % intervals."
-    ]
+    said = f"noise removed, RMS over postures of this kind: {_interval(found.overall)}"
+    lines = [f"The arm's {found.measurand}, {said}. Brackets are 95 % intervals."]
     for kind, name in (("face", "Face"), ("region", "Tip at")):
         parts = [part for part in found.errors if part.kind == kind]
         lines += [f"  {name} {part.label}: {counted(part.rows, 'row')}, {_interval(part)}" for part in parts[:SHOWN]]
@@ -289,8 +302,7 @@ def _noise(found: Verification) -> str:
 
 def _decision(found: Verification) -> list[str]:
     """The decision with its limits, its reservations, and what would settle it."""
-    decision = found.decision
-    if decision is None:
+    if (decision := found.decision) is None:
         return []
     hidden = "" if decision.measured_mm > 0 else " (the residuals are no larger than the noise)"
     size = f"{figures(decision.measured_mm)} mm RMS{hidden}"
@@ -312,27 +324,22 @@ def _decision(found: Verification) -> list[str]:
     if decision.verdict == "undecided" and decision.hangs_on_gross:
         said.append("The decision depends on the rows named above: measure them again.")
     elif decision.verdict == "undecided" and decision.further_rows is None:
-        said.append(
-            "More rows alone would hardly settle it: the error is too near the tolerance, or the noise is too large."
-        )
+        why = "the error is too near the tolerance, or the noise is too large"
+        said.append(f"More rows alone would hardly settle it: {why}.")
     elif decision.verdict == "undecided":
-        said.append(
-            f"About {counted(decision.further_rows or 0, 'more row')} like these would settle it in four cases of "
-            "five, if the error is as measured here."
-        )
+        rows = counted(decision.further_rows or 0, "more row")
+        said.append(f"About {rows} like these would settle it in four cases of five, if the error is as measured here.")
     return said
 
 
 def _limits(decision: Decision) -> str:
-    lowest = (
-        f"Too few rows or too much noise to accept anything (guard band: all of the {decision.tolerance_mm:g} mm)"
-        if math.isnan(decision.accept_below_mm)
-        else f"Accepted up to {figures(decision.accept_below_mm)} (guard band {figures(decision.guard_mm)} mm)"
-    )
+    lowest = f"Accepted up to {figures(decision.accept_below_mm)} (guard band {figures(decision.guard_mm)} mm)"
+    if math.isnan(decision.accept_below_mm):
+        guard = f"guard band: all of the {decision.tolerance_mm:g} mm"
+        lowest = f"Too few rows or too much noise to accept anything ({guard})"
     p = decision.probability
-    within = (
-        f"more than {100 * CERTAIN:.2f} %" if p > CERTAIN else "less than 0.01 %" if p < 1e-4 else f"{100 * p:.3g} %"
-    )
+    within = "less than 0.01 %" if p < 1e-4 else f"{100 * p:.3g} %"
+    within = f"more than {100 * CERTAIN:.2f} %" if p > CERTAIN else within
     return (
         f"Probability of being within tolerance: {within}. {lowest}, rejected from {figures(decision.reject_above_mm)} "
         "mm. An arm exactly at the tolerance is wrongly accepted, or wrongly rejected, with a chance of about "
@@ -342,20 +349,18 @@ def _limits(decision: Decision) -> str:
 
 def _vouches(found: Verification) -> str:
     """Sentence on the meaning of the residuals and on the directions that they leave open."""
-    rows = f"These rows determine {found.seen} of the arm's {found.unknowns} unknown directions better than the priors"
+    what = "Small residuals are not accuracy: these rows do not see every direction in which the arm can err."
     if found.accuracy:
+        reflector = " and of the reflector" if any(name.startswith("tool") for name in found.judged.own) else ""
         what = "These are errors of the tip itself where it was measured, apart from the position of the base"
-        what += "." if not any(name.startswith("tool") for name in found.judged.own) else " and of the reflector."
-    else:
-        what = "Small residuals are not accuracy: these rows do not see every direction in which the arm can err."
+        what = f"{what}{reflector}."
+    said = f"{what} These rows determine {found.seen} of the arm's {found.unknowns} unknown directions better than "
     if found.denied or not found.kept or not found.promised_tip_mm:
-        return f"{what} {rows}."
+        return f"{said}the priors."
     if not math.isfinite(found.hidden_tip_mm):
-        return f"{what} {rows}; a tip error of any size could remain unseen."
-    return (
-        f"{what} {rows}. Of the expected tip error of {mm(found.promised_tip_mm)} RMS, {mm(found.hidden_tip_mm)} could "
-        "remain unseen."
-    )
+        return f"{said}the priors; a tip error of any size could remain unseen."
+    hidden = f"{mm(found.promised_tip_mm)} RMS, {mm(found.hidden_tip_mm)} could remain unseen"
+    return f"{said}the priors. Of the expected tip error of {hidden}."
 
 
 def _next(found: Verification) -> list[str]:
@@ -364,29 +369,186 @@ def _next(found: Verification) -> list[str]:
         return []
     bad = [face.label for face in found.faces if face.p < LEVEL / 2]
     if found.kept:
-        said = (
-            "calibrate with old and new rows, and with more touches where the residuals are largest. Then verify "
-            "with fresh rows. Or ask for a tolerance that the calibration promises."
-        )
+        said = "calibrate with old and new rows, and with more touches where the residuals are largest. Then verify "
+        said += "with fresh rows. Or ask for a tolerance that the calibration promises."
     elif found.gross_lines and found.kept_without_gross:
         it = "this row" if len(found.gross_lines) == 1 else "these rows"
         said = f"measure {it} again; casacal check PROBLEM {found.judged.samples} looks closer at the rows."
     elif len(bad) == 1 and len(found.faces) > 1:
         its_own = any(f".{bad[0]}." in name for name in found.judged.own)
         when = "may have moved during the touches" if its_own else "has moved: leave it out of --standing"
-        said = (
-            f"only '{bad[0]}' does not agree. That face {when}; or something was different there, such as the "
-            "zero of the dial. Touch it again, and verify again."
-        )
+        said = f"only '{bad[0]}' does not agree. That face {when}; or something was different there, such as the "
+        said += "zero of the dial. Touch it again, and verify again."
     elif found.p >= LEVEL / 2:
-        said = (
-            "the rows agree with one another, but not with the arm as calibrated. An encoder zero, the tool or "
-            "a part has changed since: casacal changed RESULT ROWS looks which. After a change, calibrate again with "
-            "the new rows alone; otherwise with old and new rows."
-        )
+        said = "the rows agree with one another, but not with the arm as calibrated. An encoder zero, the tool or "
+        said += "a part has changed since: casacal changed RESULT ROWS looks which. After a change, calibrate again "
+        said += "with the new rows alone; otherwise with old and new rows."
     else:
-        said = (
-            f"casacal check PROBLEM {found.judged.samples} looks for mistakes in these rows. Measure some of them "
-            "again; if they read the same, calibrate again with old and new rows."
-        )
+        said = f"casacal check PROBLEM {found.judged.samples} looks for mistakes in these rows. Measure some of them "
+        said += "again; if they read the same, calibrate again with old and new rows."
     return [f"Next: {said}"]
+
+
+def verify(
+    result: AsArm | CalibratedArm | str | Path,
+    samples: Samples | Any,
+    *,
+    problem: Problem | ProblemFile | str | Path | None = None,
+    instrument: str | None = None,
+    standing: Collection[str] = (),
+    tolerance: float | None = None,
+    risk: float = RISK,
+) -> Verification:
+    """Judge a calibration by rows that it has not seen; the arm is not fitted again.
+
+    Only what the rows alone know is fitted to them: where the faces or the tracker stand, and the tool of another
+    instrument. What is left is compared with its predicted covariance: of what the calibration may err by, from the
+    posterior in result.json, and of the noise as the calibration used it. The sum of squares is chi-square with rows
+    less fitted unknowns degrees of freedom (F where the calibration itself found the noise), and the promise is kept
+    unless it is larger than 95 % of those of a good arm. Rows that were pasted again count once, and
+    rows that the arm was calibrated from do not count.
+
+    Args:
+        result: a calibration, what `load` or `read_result` returns, or the path of a result.json or its folder.
+        samples: fresh rows: `Samples`, a file, a pandas DataFrame, or arrays by column.
+        problem: the same arm with the instrument of these rows, where it is not that of the calibration: a `Problem`,
+            what `load_problem` returns, or a path.
+        instrument: which of the calibration's instruments took these rows, where there are several; by default the one
+            whose columns they have.
+        standing: labels of faces ("floor") or unknowns ("plane", "tool") that stand where the calibration found them,
+            and so are not fitted again.
+        tolerance: largest RMS error, mm, that the arm may have in what this instrument sees: accepted, rejected or left
+            undecided by JCGM 106:2012.
+        risk: chance of a wrong decision of an arm whose error is the tolerance, below one half.
+
+    Returns:
+        What was found; residuals in mm.
+
+    Raises CasacalError for what is no result, another arm, or a tolerance or risk that is none; UnknownNameError for
+    something else standing; SamplesError for rows that do not fit, are too few, or half of which are those of the
+    calibration; ProblemError for rows without the columns that tell an effect.
+
+    """
+    if tolerance is not None and not (is_real(tolerance) and 0 < tolerance < math.inf):
+        raise CasacalError(f"The tolerance is {tolerance!r}", "Give a positive number of mm")
+    if not (is_real(risk) and LEAST_RISK <= risk < 0.5):
+        fix = f"Give a chance from {LEAST_RISK:g} to below 0.5, such as 0.05 for 5 %"
+        raise CasacalError(f"The risk is {risk!r}", fix)
+    case = opened(result, samples, problem=problem, instrument=instrument, standing=standing)
+    unit = case.source.problem.instrument.words.unit
+    if tolerance is not None and unit != "mm":
+        raise CasacalError(f"The tolerance is in mm, but the residuals are in {unit}", "Leave it out")
+    return _judged(case, tuple(standing), None if tolerance is None else float(tolerance), float(risk))
+
+
+def _judged(case: Opened, standing: tuple[str, ...], tolerance: float | None, risk: float) -> Verification:
+    """All figures of a verification."""
+    fresh, freedom, words = case.fresh(standing), case.noise_freedom, case.source.problem.instrument.words
+    bound, rows, arm = fresh.bound, fresh.linear, fresh.of_arm
+    # slopes by the arm's unknowns, in units of their priors (1 mm, 1 mrad if flat); priors of own unknowns have none
+    scaled = np.zeros((len(rows.residual), arm.size))
+    scaled[: bound.rows] = fresh.jacobian[:, arm] * prior_scale(bound)[arm]
+    per_row = bound.rows // len(case.rows)
+    off = np.array([k for k in rows.gross() if k < bound.rows], dtype=np.intp)
+    kept = np.setdiff1d(np.arange(len(rows.residual)), off)
+    p, arm_chi, directions, arm_p = _chances(rows, scaled, freedom)
+    without, _, _, arm_without = _chances(rows.take(kept), scaled[kept], freedom)
+    drawn, visible = fresh.fitted(np.where(fresh.known, 0.0, fresh.at)), visible_error(case.arm, fresh)
+    sizes = [_lengths(bound.plain_residual(x), per_row) for x in (drawn, fresh.x)]
+    sizes.append(_lengths(rows.std[: bound.rows] * bound.noise, per_row))
+    noise, most, stated = visible.noises_mm()
+    promised, hidden = _tips(fresh)
+    return Verification(
+        case.judged(fresh, standing),
+        before_mm=rms(sizes[0]),
+        after_mm=rms(sizes[1]),
+        predicted_mm=rms(sizes[2]),
+        chi_square=rows.chi_square,
+        freedom=rows.freedom,
+        p=p,
+        seen=directions,
+        arm_chi_square=arm_chi,
+        arm_p=arm_p,
+        faces=_faces(fresh, sizes, freedom),
+        gross_lines=tuple(sorted({int(case.rows.lines[k // per_row]) for k in off.tolist()})),
+        kept_without_gross=min(without, arm_without) >= LEVEL / 2,
+        quantile_mm=float(np.quantile(sizes[1], 0.95, method="inverted_cdf")),
+        errors=errors_by_part(visible, drawn) if words.unit == "mm" else (),
+        decision=None if tolerance is None else _decided(case.arm, fresh, off, tolerance, risk),
+        noise_mm=noise,
+        noise_most_mm=most,
+        noise_stated_mm=stated,
+        unknowns=arm.size,
+        promised_tip_mm=promised,
+        hidden_tip_mm=hidden,
+        accuracy=words.accuracy,
+        things=words.things,
+        sees=words.residual,
+        unit=words.unit,
+    )
+
+
+def _chances(rows: FreshRows, scaled: Array, noise: float) -> tuple[float, float, int, float]:
+    """Chance of all residuals; chi-square in the arm's directions alone, its freedom and its chance."""
+    arm, directions = rows.toward(scaled)
+    return chance_of(rows.chi_square, rows.freedom, noise), arm, directions, chance_of(arm, directions, noise)
+
+
+def _decided(arm: CalibratedArm, fresh: Fresh, off: Index, tolerance: float, risk: float) -> Decision:
+    """The decision by all rows; undecided where it hangs on those that are gross."""
+    found = []
+    for without in (None, off) if off.size else (None,):
+        visible = visible_error(arm, fresh, without)
+        if (scatter := visible.scatter(visible.residual(fresh.x))) is None:
+            what = "the unknowns fitted to these rows absorb any error of the arm, so no tolerance can be tested"
+            raise SamplesError(fresh.bound.block.samples.file, what, "Take more rows, or leave the tolerance out")
+        found.append(decide(scatter, visible.effective_rows(), tolerance, risk))
+    if found[-1].verdict == found[0].verdict:
+        return found[0]
+    return replace(found[0], verdict="undecided", further_rows=None, hangs_on_gross=True)
+
+
+def _lengths(values: Array, per_row: int) -> Array:
+    """Norm (N,) of the `per_row` values of each row, from values (N per_row,): an error of three axes counts once."""
+    return np.asarray(np.linalg.norm(values.reshape(-1, per_row), axis=1))
+
+
+def _faces(fresh: Fresh, sizes: list[Array], noise: float) -> tuple[FaceVerification, ...]:
+    """Each face by itself, in the order of the rows; none where there is only one."""
+    bound, found = fresh.bound, []
+    labels = bound.block.samples.faces(bound.problem.instrument.groups)
+    for label, rows in labels.rows().items() if len(labels.names) > 1 else ():
+        one = fresh.some(bound.residuals_of(rows))
+        drawn, here, promised = (rms(each[rows]) for each in sizes)
+        p = chance_of(one.chi_square, one.freedom, noise)
+        found.append(FaceVerification(label, len(rows), drawn, here, promised, one.chi_square, one.freedom, p))
+    return tuple(found)
+
+
+def _tips(fresh: Fresh) -> tuple[float, float]:
+    """Expected tip error, mm RMS: by the calibration, and by its posterior after these rows as well."""
+    joints = workspace_joints(fresh.bound.problem.robot)
+    tips, slopes = fresh.bound.tips(fresh.x, joints), fresh.bound.tip_jacobian(fresh.x, joints)
+    by_known, there = slopes[:, fresh.known], np.flatnonzero(~fresh.lost)
+    after, own = fresh.covariance.copy(), fresh.linear.own
+    slopes = np.zeros((len(own), there.size))
+    slopes[: fresh.bound.rows] = fresh.jacobian[:, np.flatnonzero(fresh.known)[there]]
+    after[np.ix_(there, there)] = learnt(fresh.covariance[np.ix_(there, there)], slopes, own)
+    return spread_rms(fresh.covariance, by_known, tips), spread_rms(after, by_known, tips)
+
+
+def with_section(path: Path, arm: CalibratedArm, section: str) -> str:
+    """The text of a calibration's report with the section of a verification.
+
+    arm: the result that the report is of. Raises CasacalError where there is no such report, or it is of
+    another calibration.
+    """
+    fix = "Write a separate page: --report FILE"
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        raise CasacalError(f"There is no report '{path}' to write into", fix) from None
+    marks = ["<title>Calibration of", arm.source.sha256, arm.found.data.sha256]
+    if text.count(BEFORE) != 1 or not all(mark in text for mark in marks):
+        raise CasacalError(f"'{path}' is not the report of this result", fix)
+    return STANDING.sub("", text).replace(BEFORE, f"{section.strip()}\n{BEFORE}")

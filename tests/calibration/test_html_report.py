@@ -21,7 +21,7 @@ from casacal import DialOnPlane, Plane, Problem, TrackedPoint, calibrate
 from casacal.calibration.report import Workspace, report_page
 from casacal.calibration.report_pictures import Touches
 from casacal.calibration.result_json import calibration_document
-from casacal.calibration.tables import parameters_table
+from casacal.calibration.summary import parameters_table
 from casacal.cli.main import main
 from casacal.data.samples import Samples
 from casacal.kernels.losses import huber

@@ -7,7 +7,7 @@ import pytest
 from conftest import ROOT
 
 from casacal import CasacalError, KnownPoint, Problem, check, load_problem
-from casacal.calibration.set_up import lost_targets
+from casacal.calibration.before_fit import lost_targets
 from casacal.errors import SamplesError
 from casacal.fit.bound_problem import bind
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from casacal import check, load_problem, simulate
-from casacal.calibration.midway import changed_midway
+from casacal.calibration.cause import changed_midway
 from casacal.data.columns import Labels
 
 PROBLEMS = Path(__file__).parent.parent.parent / "problems"

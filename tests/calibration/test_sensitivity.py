@@ -148,9 +148,9 @@ def test_contacts_without_a_reading_have_rows_alone(hsr):
 
 
 def test_the_bound_on_rows_is_a_sentence(made, monkeypatch):
-    from casacal.calibration import sensitivity
+    from casacal.calibration import motion
 
-    monkeypatch.setattr(sensitivity, "MOST_EXACT", 100)
+    monkeypatch.setattr(motion, "MOST_EXACT", 100)
     calibration = made[0]
     with pytest.raises(CasacalError, match=r"rows with \d+ unknowns are too many for the sensitivity"):
-        sensitivity.sensitivity(calibration.fit, calibration.result, np.zeros((3, calibration.fit.unknowns)))
+        motion.sensitivity(calibration.fit, calibration.result, np.zeros((3, calibration.fit.unknowns)))

@@ -188,7 +188,7 @@ def test_it_is_taken_where_the_dense_likelihood_is_greater(hsr):
     ends = {OTHERS: 1.0, REPEATABILITY: 18e-6}, {OTHERS: 2.3}
     whole = [linear.ways[0][0].with_noise(scale) for scale in ends]
     logs = [_dense(each, linear.x) for each in whole]
-    found = [linear._likeliest(each, normal_equations(each, linear.x), None) for each in whole]
+    found = [linear._likeliest((each, normal_equations(each, linear.x)), None) for each in whole]
     sized = [_dense(each.rows, linear.x) + _hyper(each) for each in found]
     assert found[0].evidence - found[1].evidence == pytest.approx(sized[0] - sized[1], abs=1e-4)
     assert all(after >= before for after, before in zip(sized, logs, strict=True))
