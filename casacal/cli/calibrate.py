@@ -157,7 +157,7 @@ def _report(calibration: Calibrated, source: ProblemFile, box: Box | None, optio
     if folder is not None:
         last = f"Written: {folder}/report.html and result.json"
     if options.json:
-        say_json({**calibration_document(calibration, source), **found})
+        say_json({**calibration_document(calibration), **found})
     elif options.verbose:
         say_lines("\n\n".join([calibration.summary().rstrip(), *expected]))
     else:

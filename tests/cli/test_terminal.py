@@ -126,6 +126,17 @@ def test_json_of_a_box(capsys):
     assert 0 < box["expected_rms_mm"] <= box["worst_mm"]
 
 
+def test_json_is_of_the_arm_as_options_want_it(capsys, tmp_path):
+    """As result.json is: a number that was held is held in both."""
+    asked = ["calibrate", HSR, "--no-reference", "--method", "lm", "--fix", "a3", "--out", tmp_path / "fit", "--json"]
+    code, out, _ = call(capsys, *asked)
+    kept = json.loads((tmp_path / "fit" / "result.json").read_text())
+    said = json.loads(out)
+    assert code == 0
+    assert said["arm"] == kept["arm"]
+    assert [row["std"] for row in said["parameters"] if row["name"] == "a3"] == [0.0]
+
+
 def test_a_long_list_of_lines_is_counted_right_and_whole_in_json(capsys, tmp_path):
     lines = Path(SAMPLES).read_text().splitlines()
     first = next(i for i, line in enumerate(lines) if line[0] in "-0123456789")

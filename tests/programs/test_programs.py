@@ -544,8 +544,8 @@ def test_a_refused_result_corrects_no_program(tmp_path):
 def fitted(corner_simulation, hsr, tmp_path_factory):
     """A result of a simulated HSR-JR680, and a KRL program for it."""
     folder = tmp_path_factory.mktemp("fitted")
-    done = calibrate(hsr.problem, corner_simulation.samples, method="lm", reference=False)
-    write_json(folder / "result.json", calibration_document(done, hsr))
+    done = calibrate(hsr, corner_simulation.samples, method="lm", reference=False)
+    write_json(folder / "result.json", calibration_document(done))
     joints = np.radians([[10, 20, 10, 40, 70, 60], [-30, 10, 20, -60, -60, 10], [45, -15, 30, 100, 50, -90]])
     poses = predict(done, joints, nominal=True).poses
     rows = []
