@@ -166,9 +166,9 @@ class Calibration(Value):
     @cached_property
     def mirror_image(self) -> MirrorImage | None:
         """Conventions that would reflect the arm and fit as well; None where nobody has to ask, or it was settled."""
-        if self.earlier is not None:
-            return self.earlier.mirror_image
-        return None if self.source.confirmed else mirror_image(self.fit)
+        if self.source.confirmed:
+            return None
+        return mirror_image(self.fit) if self.earlier is None else self.earlier.mirror_image
 
     @cached_property
     def either_way(self) -> bool:

@@ -504,7 +504,7 @@ def opened(
         if not same_arm(robot, other.robot):
             what = f"{arm.file}: the arm of the problem ({other.robot.name}) is not the calibrated one ({robot.name})"
             raise CasacalError(what, "Give a problem whose robot is that of the calibration, parameter by parameter")
-        source = ProblemFile.of(Problem(robot, other.instrument))
+        source = ProblemFile.of(Problem(robot, other.instrument, terms=arm.source.problem.terms))
     return fresh_among(arm, source, samples_of(samples, source, 0), other=problem is not None)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from casacal.data.samples import Measurements, Samples, is_frame
+from casacal.data.text import Table
 from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.fit.bound_problem import BoundProblem
 from casacal.fit.least_squares import Result, Status, as_result
@@ -70,6 +71,8 @@ def samples_of(data: Any, source: ProblemFile, i: int) -> Samples:
         return problem.read(file, i)
     if isinstance(data, (str, Path)):
         return problem.read(data, i)
+    if isinstance(data, Table):
+        return Samples.from_table(data, layout)
     if is_frame(data):
         return Samples.from_frame(data, layout)
     if isinstance(data, Mapping):

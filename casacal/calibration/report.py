@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -185,7 +186,8 @@ def expected_error(each: Sequence[Touches], box: Box | None) -> dict[str, Any]:
     ]
     if box is not None:
         motion = calibration.motion
-        rms, most = accuracy_in_box(motion.arm, motion.x, box, motion.off)
+        inside, way = accuracy_in_box(motion.arm, motion.x, box, motion.off), calibration.tip_from_minimum
+        rms, most = (math.hypot(each, way) for each in inside)
         ranges = ", ".join(f"{axis} {low:g} to {high:g}" for axis, (low, high) in zip("xyz", box, strict=True))
         rows.append([f"After, inside the box {ranges} mm", mm(rms), mm(most)])
     error = workspace_maps("error", "expected tip error, mm", workspace.error, workspace.tips, np.vstack(marks), box)

@@ -37,10 +37,12 @@ from casacal.wording import listed, mm
 _LOG = logging.getLogger("casacal")
 
 
-def calibration_document(calibration: WithVerdict, *, folder: Path | None = None) -> dict[str, Any]:
+def calibration_document(
+    calibration: WithVerdict, source: ProblemFile | None = None, *, folder: Path | None = None
+) -> dict[str, Any]:
     """The whole of result.json for a calibration; paths are relative to the folder that it will stand in, if any."""
     found, cures, reference = calibration.identifiability, iter(calibration.advice), calibration.reference
-    document = found_part(calibration, folder=folder)
+    document = found_part(calibration, source, folder=folder)
     document["metrics"] = calibration.metrics
     if by := calibration.metrics_by_instrument:
         document["metrics_by_instrument"] = by
@@ -77,14 +79,16 @@ def calibration_document(calibration: WithVerdict, *, folder: Path | None = None
     return sealed(document)
 
 
-def found_part(calibration: WithVerdict, *, folder: Path | None = None) -> dict[str, Any]:
+def found_part(
+    calibration: WithVerdict, source: ProblemFile | None = None, *, folder: Path | None = None
+) -> dict[str, Any]:
     """The part of result.json that other tools rely on; the rest is for people and takes longer to compute."""
     result, fit, denied, samples = calibration.result, calibration.fit, calibration.denied, calibration.samples
     (before, now), (alone, unseen) = calibration.tip_std, calibration.tip_std_without_prior
     drawn, flange = calibration.flange_std
     tip = {"expected_rms_mm": now, "prior_rms_mm": before, "without_prior_rms_mm": alone, "unseen": unseen}
     return {
-        **head_of(calibration.source, result, calibration.seed, fit.backend, folder),
+        **head_of(source or calibration.source, result, calibration.seed, fit.backend, folder),
         "verdict": asdict(calibration.verdict),
         "data": {
             **rows_file(samples, folder),

@@ -103,11 +103,12 @@ def _known_before(calibration: Calibration) -> Iterator[Doubt]:
         if calibration.either_way:
             clause, rest = DIAL_WAY
             yield Doubt(clause, f"{capital(clause)}. {rest}.", "touch three places again with the arm 1 mm nearer")
-    elif earlier.loosened:
+        return
+    if earlier.loosened:
         what = listed(list(earlier.loosened))
         clause = f"{what} may have changed, and no fresh rows have verified since that nothing else did"
         yield Doubt(clause, f"{capital(clause)}. Verify with rows in other postures.", VERIFY)
-    elif earlier.verdict.level != "calibrated":
+    if earlier.verdict.level != "calibrated":
         clause = "the earlier result was to be used with care"
         yield Doubt(clause, f"{capital(clause)}: {earlier.verdict.words}")
 

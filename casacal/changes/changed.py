@@ -255,6 +255,7 @@ class Change(Value):
             bad = [f"{lines}. Measure {it} again."]
         unseen = [f"These rows do not show a shift of {listed(self.unseen, 'or')}."] if self.unseen else []
         drift = ", ".join(f"{name} {std:g}" for name, std in self.drift)
+        smallest = chance(self.p).removeprefix("p ").removeprefix("= ")
         paragraphs = [
             _answer(self),
             *(unseen if self.ended == NOTHING else []),
@@ -266,7 +267,7 @@ class Change(Value):
             ),
             *causes,
             *bad,
-            f"Smallest p of all tests {chance(self.p).split()[-1]}; alarm below {self.level:.2g}. All residuals: "
+            f"Smallest p of all tests {smallest}; alarm below {self.level:.2g}. All residuals: "
             f"chi-square {self.chi_square:.1f} with {self.freedom} degrees of freedom, {chance(self.p_all)}. "
             f"{capital(self.judged.fitted_words())}{f'; drift {drift}' if drift else ''}.",
             _shown(self),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import shlex
 import sys
 import time
@@ -145,7 +146,8 @@ def _report(calibration: Calibrated, source: ProblemFile, box: Box | None, optio
     expected, found = list[str](), dict[str, Any]()
     if box is not None and not denied:
         motion = calibration.motion
-        error, worst = accuracy_in_box(motion.arm, motion.x, box, motion.off)
+        way = calibration.unjudged.tip_from_minimum
+        error, worst = (math.hypot(each, way) for each in accuracy_in_box(motion.arm, motion.x, box, motion.off))
         expected = [f"Inside {options.box} mm: a tip error of {mm(error)} RMS, {mm(worst)} at worst."]
         found["box"] = {"range_mm": box, "expected_rms_mm": error, "worst_mm": worst}
     if source.assumed:
@@ -162,7 +164,8 @@ def _report(calibration: Calibrated, source: ProblemFile, box: Box | None, optio
         say_lines("\n\n".join([calibration.summary().rstrip(), *expected]))
     else:
         again = {"--samples": options.sets, "--fix": options.fix, "--free": options.free, "--set": options.set}
-        again |= {"--prior": options.prior}
+        again |= {"--prior": options.prior, "--readings": [] if options.readings is None else [options.readings]}
+        again |= {"--id": [] if options.readings is None or options.id == "pose" else [options.id]}
         again |= {"--accuracy": [] if options.accuracy is None else [f"{options.accuracy:g}"]}
         words = [word for name, each in again.items() for one in each for word in (name, one)]
         about = shlex.join([options.problem, *([options.samples] if options.samples else []), *words])

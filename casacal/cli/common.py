@@ -229,16 +229,17 @@ def add_adjustments(parser: argparse.ArgumentParser) -> None:
 
 def adjusted(problem: Problem, options: argparse.Namespace) -> Problem:
     """The problem as the options want it; raises CasacalError for what cannot be read or does not exist."""
-    if options.accuracy is not None:
-        from casacal.uncertainty.priors import scaled_to_accuracy
-
-        problem = scaled_to_accuracy(problem, options.accuracy)
     if options.set:
         example = "sign=-1, noise_std=0.02 or travel=-5:5"
         problem = problem.with_settings(settings_of("--set", options.set, "NAME=NUMBER", example, number_or_range))
     free, fix = names_of("--free", options.free), names_of("--fix", options.fix)
     priors = stds_of("--prior", options.prior, "a3=0.5")
-    problem = problem.free(*free).with_prior(priors).fix(*fix)
+    problem = problem.free(*free)
+    if options.accuracy is not None:  # of the arm as it is then calibrated; a prior of its own is meant as it stands
+        from casacal.uncertainty.priors import scaled_to_accuracy
+
+        problem = scaled_to_accuracy(problem, options.accuracy, held=fix)
+    problem = problem.with_prior(priors).fix(*fix)
     left = problem.free_names() if fix else [*free, *priors]
     for change, names in (("freed (--free)", free), ("given a prior (--prior)", priors)):
         for name in names:

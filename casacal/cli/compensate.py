@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from casacal.deployment.arm import CalibratedArm
     from casacal.model.robot import Robot
     from casacal.programs.correct import CorrectedProgram
+    from casacal.programs.program import Puzzle, Target
     from casacal.values import Array
 
 HELP = "correct joint targets for the calibrated arm"
@@ -158,7 +159,7 @@ def _run_program(options: argparse.Namespace, largest: float) -> int:
         skip_unknown=options.skip_unknown,
     )
     _write(corrected, outs)
-    return _tell(options, onto or result, corrected, [str(out) for out in reversed(outs)])
+    return _tell(options, (onto or result, result), corrected, [str(out) for out in reversed(outs)])
 
 
 def _write(corrected: CorrectedProgram, outs: list[Path]) -> None:
@@ -174,27 +175,31 @@ def _write(corrected: CorrectedProgram, outs: list[Path]) -> None:
             place.write_bytes(each)
 
 
-def _tell(options: argparse.Namespace, arm: CalibratedArm, corrected: CorrectedProgram, written: list[str]) -> int:
-    """Print what was done to a program; returns 1 where moves stay as they are, else 0."""
-    from casacal.deployment.arm import column_notes
+def _tell(
+    options: argparse.Namespace,
+    arms: tuple[CalibratedArm, CalibratedArm],
+    corrected: CorrectedProgram,
+    written: list[str],
+) -> int:
+    """Print what was done to a program, for an arm and that which it was taught on; 1 where moves stay as they are."""
+    from casacal.deployment.arm import cautions, column_notes
     from casacal.deployment.programs import no_gain
 
     program, moves, left = corrected.program, list[dict[str, Any]](), list[dict[str, Any]]()
-    for move in sorted(program.moves, key=lambda move: -corrected.correction_mm[move.target]):
+    done = [move for move in program.moves if corrected.reached[move.target]]
+    for move in sorted(done, key=lambda move: -corrected.correction_mm[move.target]):
         i = move.target
-        if corrected.reached[i]:
-            moves.append({"line": move.line, "motion": move.motion, "target": program.targets[i].name})
-            moves[-1] |= {"correction_mm": corrected.correction_mm[i], "left_mm": corrected.left_mm[i]}
-            moves[-1] |= {"correction_deg": math.degrees(corrected.correction_rad[i])}
-            known = arm.found.tip.flange_expected_mm > 0 or options.frame == "tip"
-            moves[-1] |= {"expected_mm": corrected.expected_mm[i] if known else math.nan}
-    left += [{"line": each.line, "why": each.what} for each in program.puzzles]
-    left += [
-        {"line": program.targets[i].line, "why": f"'{program.targets[i].name}': {why}"}
-        for i, why in corrected.why.items()
-    ]
-    gain = no_gain(corrected.correction_mm[corrected.reached], corrected.expected_mm[corrected.reached])
-    care = [words for words in (*gain, arm.caution, *column_notes(arm, corrected.missing, ())) if words is not None]
+        moves.append({"line": move.line, "motion": move.motion, "target": program.targets[i].name})
+        moves[-1] |= {"correction_mm": corrected.correction_mm[i], "left_mm": corrected.left_mm[i]}
+        moves[-1] |= {"correction_deg": math.degrees(corrected.correction_rad[i])}
+        moves[-1] |= {"expected_mm": corrected.expected_mm[i]}
+    lost: list[tuple[Target | Puzzle, str]] = [(each, each.what) for each in program.puzzles]
+    lost += [(program.targets[i], f"'{program.targets[i].name}': {why}") for i, why in corrected.why.items()]
+    left += [{"line": at.line, "file": program.paths[at.file], "why": why} for at, why in lost]
+    care = no_gain(corrected.correction_mm[corrected.reached], corrected.expected_mm[corrected.reached])
+    posed = any(target.kind == "pose" for target in program.targets)
+    care += dict.fromkeys(words for arm in arms for words in cautions(arm, posed=posed))
+    care += column_notes(arms[0], corrected.missing, ())
     joints = [abs(value) for target in program.targets if target.kind == "joints" for value in target.values]
     if program.language != "urscript" and 0 < max(joints, default=0.0) <= math.tau:
         care.append("warning: no joint value is larger than 6.3 degrees: are they radians?")
@@ -217,11 +222,11 @@ def _tell(options: argparse.Namespace, arm: CalibratedArm, corrected: CorrectedP
             + (f"   expected error {each['expected_mm']:.3f} mm" if math.isfinite(each["expected_mm"]) else "")
         )
     said += [f"  ... and {len(moves) - SHOWN_MOVES} smaller ones (--json has all)"] if len(moves) > SHOWN_MOVES else []
-    said += [f"Left as it is: line {each['line']}, {each['why']}" for each in left[:SHOWN]]
+    said += [f"Left as it is: {program.where(at)}, {why}" for at, why in lost[:SHOWN]]
     said += [f"... and {len(left) - SHOWN} more (--json has all)"] if len(left) > SHOWN else []
     said += [f"No move goes to {shortened(program.unused)}: left as they are"] if program.unused else []
     said += [*care, *([corrected.diff] if options.diff else []), f"Written: {', '.join(written)}"]
-    answer(options, {**found, "verdict": arm.verdict, "notes": care, "written": written}, *said)
+    answer(options, {**found, "verdict": arms[0].verdict, "notes": care, "written": written}, *said)
     return FAILED if left else DONE
 
 

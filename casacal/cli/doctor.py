@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from casacal.data.text import Table
+
 HELP = "find a controller's conventions from poses on its pendant"
 
 
@@ -46,12 +48,10 @@ def run(options: argparse.Namespace) -> int:
     from casacal.doctor.words import diagnosis_text
     from casacal.model.joints import Conventions
     from casacal.model.problem_file import keep_conventions, load_problem
-    from casacal.programs.endings import is_program
 
     source = load_problem(options.problem)
     robot = source.problem.robot
-    poses = program_table(options.poses, options, "poses") if is_program(options.poses) else options.poses
-    rows = read_pendant_rows(poses, robot.revolute.tolist())
+    rows = read_pendant_rows(_poses(options), robot.revolute.tolist())
     base, tool = _pose("--base", options.base), _pose("--tool", options.tool)
     found = diagnose(robot, rows, base=base, tool=tool, tolerance=options.tolerance)
     kept = None
@@ -92,6 +92,19 @@ def run(options: argparse.Namespace) -> int:
         }
     )
     return DONE if found.certain else FAILED
+
+
+def _poses(options: argparse.Namespace) -> str | Table:
+    """POSES, joined to what --readings has of them."""
+    from casacal.data.samples import read_any_table
+    from casacal.data.text import joined_tables
+    from casacal.programs.endings import is_program
+
+    if is_program(options.poses):
+        return program_table(options.poses, options, "poses")
+    if options.readings is None:
+        return str(options.poses)
+    return joined_tables(read_any_table(options.poses), read_any_table(options.readings), key=options.id)
 
 
 def _pose(option: str, text: str | None) -> NDArray[np.float64] | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import OF_SEVERAL, RESULT, add, add_readings
+from casacal.cli.common import OF_SEVERAL, RESULT, add, add_readings, program_table
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ def add_fresh_rows(parser: argparse.ArgumentParser, standing: str) -> None:
     add(parser, *RESULT)
     words = f"instrument that took these rows; default: the one with these columns, {OF_SEVERAL}"
     add(parser, "--instrument NAME", words)
-    add(parser, "SAMPLES", "fresh rows: CSV, .xlsx, .npy or .npz")
+    add(parser, "SAMPLES", "fresh rows: CSV, .xlsx, .npy or .npz; or a robot program")
     add_readings(parser)
     words = "the same arm with the instrument of these rows, such as a tracker; default: that of the calibration"
     add(parser, "--problem PROBLEM", words)
@@ -29,14 +29,19 @@ def add_fresh_rows(parser: argparse.ArgumentParser, standing: str) -> None:
 def fresh_rows(options: argparse.Namespace) -> tuple[CalibratedArm, ProblemFile | None, str | None, Samples]:
     """The result that `add_fresh_rows` names, a problem of another instrument, which instrument it is, and its rows."""
     from casacal.calibration.fresh import measured_by
+    from casacal.data.samples import Samples
     from casacal.deployment.arm import for_instrument
     from casacal.deployment.result_file import read_result
     from casacal.model.problem_file import load_problem
+    from casacal.programs.endings import is_program
 
     if not options.samples.strip():
         raise CasacalError("SAMPLES is empty", "Name a file of fresh rows")
     result = read_result(options.result)
     other = None if options.problem is None else load_problem(options.problem)
-    named = options.instrument if other is not None else measured_by(result, options.samples, options.instrument)
+    taken = program_table(options.samples, options) if is_program(options.samples) else options.samples
+    named = options.instrument if other is not None else measured_by(result, taken, options.instrument)
     problem = for_instrument(result, named).source.problem if other is None else other.problem
-    return result, other, named, problem.read(options.samples, readings=options.readings, key=options.id)
+    if not isinstance(taken, str):
+        return result, other, named, Samples.from_table(taken, problem.layout())
+    return result, other, named, problem.read(taken, readings=options.readings, key=options.id)

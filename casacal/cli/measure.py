@@ -140,7 +140,7 @@ def _held(recording: Recording, line: SerialLine | None) -> None:
                 say_paragraphs(f"warning: {recording.warning}")
             say_paragraphs(posture(session, proposed))
         if recording.doubled is None:
-            say_paragraphs(waiting(session, proposed, by_gauge=line is not None))
+            say_paragraphs(waiting(session, proposed, recording.gauge, by_gauge=line is not None))
         entry = next(entered, None)
         if entry is None:
             break

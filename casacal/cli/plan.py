@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from casacal.cli import cell, common
 from casacal.cli.common import DONE, JSON, PROBLEM, add, whole_number
-from casacal.cli.terminal import answer, say_paragraphs
+from casacal.cli.terminal import answer
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
     """Plan as the options say; returns 0."""
     from casacal.model.problem_file import load_problem
     from casacal.planning.plan import cell_words, document, plan_sentences
-    from casacal.planning.route import FIT, touches_needed
+    from casacal.planning.route import CHECK, FIT, touches_needed
     from casacal.planning.set_ups import POOL, SetUp, set_ups
 
     if options.touches is not None and options.tolerance is not None:
@@ -80,7 +80,8 @@ def run(options: argparse.Namespace) -> int:
     if options.block is not None:
         source, place, texts = _with_block(source, options)
     found = _planned(source, options, clearance)
-    written = _written(source, options, found, clearance, texts)
+    written, hindered = _written(source, options, found, clearance, texts)
+    warned += hindered
     compared, fitted, later = tuple[SetUp, ...](), found.purposes.count(FIT), options.after is not None
     if options.setups or (source.problem.instrument.probe is not None and not later and fitted <= POOL):
         box, targets = cell.where(options, source)
@@ -93,10 +94,9 @@ def run(options: argparse.Namespace) -> int:
             clearance=clearance,
             seed=options.seed,
         )
-    if fitted < (least := touches_needed(source.problem, found.samples)) and not later:
-        what = (
-            f"{fitted} touches are fitted, but casacal calibrate needs at least {least} for all unknowns. Ask for more"
-        )
+    rows = len(found) - found.purposes.count(CHECK)
+    if rows < (least := touches_needed(source.problem, found.samples)) and not later:
+        what = f"{rows} touches are fitted, but casacal calibrate needs at least {least} for all unknowns. Ask for more"
         warned = [f"{what}, keep fewer to verify, or hold parameters", *warned]
     there = "inside the box" if options.box else "over the workspace" if options.targets is None else "at the targets"
     answer(
@@ -213,13 +213,13 @@ def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Cleara
 
 def _written(
     source: ProblemFile, options: argparse.Namespace, found: Plan, clearance: Clearance, texts: dict[Path, str]
-) -> list[str]:
-    """Write the plan, what was asked for beside it, and further texts; all is made before anything is written."""
+) -> tuple[list[str], list[str]]:
+    """Write the plan, what was asked for beside it, and further texts, all or none: their paths, and warnings."""
     from casacal.files import together, write_text
     from casacal.planning.handouts import PROGRAMS, approaches, program_text, sheet_page
     from casacal.planning.plan import cell_words, plan_text
 
-    problem, name = source.problem, source.name
+    problem, name, warned = source.problem, source.name, list[str]()
     others, texts = len(texts), {Path(options.out): plan_text(found, problem, name, clearance), **texts}
     if options.sheet is not None:
         texts[Path(options.sheet)] = sheet_page(
@@ -232,26 +232,26 @@ def _written(
             texts[Path(options.out).with_suffix(PROGRAMS[language].ending)] = text
         held = [str(k + 1) for k, retreat in enumerate(ways.retreat.tolist()) if math.isnan(retreat)]
         blocked = [str(k) for k, clear in enumerate(ways.clear.tolist(), 1) if not clear and str(k) not in held]
-        if held and not options.json:
-            say_paragraphs(
-                f"warning: from touch {', '.join(held)} the arm cannot draw back by {options.retreat:g} mm inside its "
-                "joint limits; the program leaves it out. A smaller --retreat may do"
+        if held:
+            warned.append(
+                f"from touch {', '.join(held)} the arm cannot draw back by {options.retreat:g} mm inside its joint "
+                "limits; the program leaves it out. A smaller --retreat may do"
             )
-        if blocked and not options.json:
-            say_paragraphs(
-                f"warning: no clear path was found to {'touch' if len(blocked) == 1 else 'touches'} "
-                f"{', '.join(blocked)}; the program stops before {'it' if len(blocked) == 1 else 'each'}"
+        if blocked:
+            warned.append(
+                f"no clear path was found to {'touch' if len(blocked) == 1 else 'touches'} {', '.join(blocked)}; the "
+                f"program stops before {'it' if len(blocked) == 1 else 'each'}"
             )
     if len(texts) < 1 + others + (options.sheet is not None) + len(set(options.program)):
         raise CasacalError("Two of the files to write have the same name", "Name others")
     if any(path.exists() and not path.is_file() for path in texts):  # a pipe takes no place beside others
         for path, text in texts.items():
             write_text(path, text)
-        return [path.as_posix() for path in texts]
+        return [path.as_posix() for path in texts], warned
     with ExitStack() as sets:  # the folder of the plan is entered first, so that its files are placed last
         for folder in dict.fromkeys(path.parent.resolve() for path in texts):
             some = [path for path in texts if path.parent.resolve() == folder]
             place = sets.enter_context(together(folder, [path.name for path in reversed(some)], named=some[0]))
             for path in some:
                 write_text(place / path.name, texts[path])
-    return [path.as_posix() for path in texts]
+    return [path.as_posix() for path in texts], warned

@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Predict as the options say; returns 0."""
-    from casacal.deployment.arm import column_notes
+    from casacal.deployment.arm import FLANGE_UNKNOWN, cautions, column_notes
     from casacal.deployment.predict import joints_from, predict, write_prediction
     from casacal.programs.endings import is_program
 
@@ -57,7 +57,9 @@ def run(options: argparse.Namespace) -> int:
     nominal = options.nominal
     prediction = predict(result, joints, frame=options.frame, nominal=nominal, std=options.std, force=options.force)
     said = [] if nominal else column_notes(result, prediction.missing, prediction.beyond)
-    care = [] if nominal else [words for words in (result.caution, result.mirror_words) if words is not None]
+    care = [] if nominal else cautions(result)
+    if options.std and options.frame == "flange" and not result.flange_known:
+        care.append(FLANGE_UNKNOWN)
     write_prediction(
         options.out, prediction, ["Of the arm as drawn, not as calibrated."] if nominal else [*care, *said]
     )
@@ -85,19 +87,21 @@ def run(options: argparse.Namespace) -> int:
 
 def _run_program(options: argparse.Namespace, result: CalibratedArm) -> int:
     """Predict the moves of a program; returns 1 where some are not understood or not reached, else 0."""
-    from casacal.deployment.arm import column_notes
+    from casacal.deployment.arm import FLANGE_UNKNOWN, cautions, column_notes
     from casacal.programs.correct import predict_program, write_program_prediction
 
     if options.nominal or options.frame != "flange":
         raise CasacalError("--nominal and --frame are for tables of joints", "A program's own tools are predicted")
     program, begin = read_program_of(options, options.joints)
     run, prediction = predict_program(result, program, begin=begin, force=options.force)
-    write_program_prediction(options.out, run, prediction)
-    lost = [f"line {each.line}: {each.what}" for each in program.puzzles]
-    lost += [f"line {program.targets[i].line}: '{program.targets[i].name}': {why}" for i, why in run.why.items()]
-    said = [*column_notes(result, prediction.missing, prediction.beyond), *(f"No pose: {each}" for each in lost[:5])]
+    care = [*cautions(result), *column_notes(result, prediction.missing, prediction.beyond)]
+    care += [] if result.flange_known or result.denial is not None else [FLANGE_UNKNOWN.partition(":")[0]]
+    write_program_prediction(options.out, run, prediction, care)
+    lost = [f"{program.where(each)}: {each.what}" for each in program.puzzles]
+    lost += [f"{program.where(program.targets[i])}: '{program.targets[i].name}': {why}" for i, why in run.why.items()]
+    said = [f"No pose: {each}" for each in lost[:5]]
     said += [f"... and {len(lost) - 5} more"] if len(lost) > 5 else []
-    said += [words for words in (result.denial, result.caution) if words is not None]
+    said += [*([] if result.denial is None else [result.denial]), *care]
     moves = sum(move.target not in run.why for move in program.moves)
     found = {"poses": moves, "left": lost, "verdict": result.verdict, "written": [options.out]}
     answer(options, found, f"Written: {options.out} ({counted(moves, 'move')})", *said)

@@ -32,7 +32,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Verify as the options say; returns 0, or 1 when the promise was not kept or the arm not accepted."""
-    from casacal.deployment.arm import TRUTH
     from casacal.files import LOOKED_AT, write_text
     from casacal.verification.arm_error import RISK
     from casacal.verification.verification import REPORT, verify, with_section
@@ -59,9 +58,5 @@ def run(options: argparse.Namespace) -> int:
         report = Path(result.file).with_name(REPORT)
         write_text(report, with_section(report, result, found.section()))
     said = found.summary(whole=options.verbose).split("\n")
-    if result.found.method == "truth":
-        said.append(f"warning: {result.file}: {TRUTH}")
-    if result.mirror_words is not None:  # fresh rows of the same instrument fit the image as well
-        said.append(result.mirror_words)
     answer(options, found.to_dict(), *said, *([] if options.verbose else ["Faces, regions and statistics: --verbose"]))
     return DONE if found.passed else FAILED

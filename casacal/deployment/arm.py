@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -26,6 +27,7 @@ from casacal.values import Array, FrozenMapping, Value
 from casacal.wording import listed
 
 TRUTH = "this is the true arm of a simulation, not a calibration"
+FLANGE_UNKNOWN = "the error of the flange is not known, see the verdict: --frame tip if this tip does the work"
 FRAMES = ("flange", "tip")  # frame of a pose: `robot.pose`, or where the instrument touches
 NAMED = ("parameters", "unknowns", "without_corrections")  # parts of a result whose entries have the name of an unknown
 OTHERS = "others."  # prefix of unknowns that the other instruments share
@@ -99,6 +101,11 @@ class CalibratedArm(Value):
         """What is open where the samples fit a mirror image of the arm as well; None where nothing is."""
         image = self.found.mirror_image
         return None if image is None else image.words
+
+    @property
+    def flange_known(self) -> bool:
+        """Whether the flange's error is known: not by a method or with a tool whose part in it nobody can tell."""
+        return self.found.method == "truth" or not math.isnan(self.found.tip.flange_expected_mm)
 
     def check_usable(self, *, force: bool) -> None:
         """Raise RefusedResultError for a result whose verdict is not to use it, unless that is wanted all the same."""
@@ -198,6 +205,12 @@ def _local(key: str, unknown: Any, result: CalibratedArm, nominal: bool, *, alon
     return np.array([known[name] for name in unknown.names(key)])
 
 
+def cautions(arm: CalibratedArm, *, posed: bool = True) -> list[str]:
+    """What is to be known of a result before anything relies on it; `posed`: anything Cartesian."""
+    truth = f"warning: {arm.file}: {TRUTH}" if arm.found.method == "truth" else None
+    return [words for words in (truth, arm.caution, arm.mirror_words if posed else None) if words is not None]
+
+
 def for_instrument(arm: CalibratedArm, instrument: str | None = None) -> CalibratedArm:
     """The arm with one of its instruments, by default the first; itself where it has no other.
 
@@ -225,7 +238,11 @@ def for_instrument(arm: CalibratedArm, instrument: str | None = None) -> Calibra
         found["tip"] = {**found["tip"], "expected_rms_mm": None, "prior_rms_mm": None}
     found |= _renamed(found, own)
     if isinstance(said := found.get("discrepancy"), Mapping):
-        found["discrepancy"] = {**said, **_renamed(said, own)}
+        tip = {} if name == problem.names[0] else {"expected_rms_mm_without_corrections": None}
+        found["discrepancy"] = {**said, **_renamed(said, own), **tip}
+    if isinstance(planes := found.get("planes"), Mapping):  # named by instrument and label, shared ones by their label
+        others = tuple(f"{each} " for each in problem.names if each != name)
+        found["planes"] = {key.removeprefix(f"{name} "): at for key, at in planes.items() if not key.startswith(others)}
     if isinstance(found.get("proposed"), Mapping):
         found["proposed"] = {own(key): value for key, value in found["proposed"].items()}
     if isinstance(noise := found.get("noise"), Mapping):

@@ -97,12 +97,13 @@ class RowZeros:
         if probe is None or probe.zero is None or probe.zero_label is None:
             return None
         labels: Sequence[str] | None = joints.labels.get(probe.zero_label)
-        if labels is None and f"{probe.zero}.{probe.zero_label}" in known:  # as rows without the column are read
+        read = probe.column in joints.columns  # without a reading, the tip is the tool's point as it was declared
+        if labels is None and read and f"{probe.zero}.{probe.zero_label}" in known:  # as rows without the column are
             labels = [probe.zero_label] * len(joints)
         if labels is not None:
             prior = float(instrument.unknowns[probe.zero].prior_stds[0])
             return RowZeros([f"{probe.zero}.{label}" for label in labels], probe.sign, prior)
-        if probe.column not in joints.columns:
+        if not read:
             return None
         what = f"The dial was set to zero anew for each {probe.zero_label}, and the rows do not say for which"
         fix = f"Add the column '{probe.zero_label}', or leave out the reading, or ask for the flange"
@@ -236,7 +237,8 @@ def predict(
 
     Returns:
         Positions (N, 3) in mm and unit quaternions (N, 4; w, x, y, z) in the base frame, and standard deviations (N,)
-        in mm where asked for. The quaternions are those of the flange for both frames.
+        in mm where asked for, NaN where the flange's error is not known (`CalibratedArm.flange_known`). The quaternions
+        are those of the flange for both frames.
 
     Raises RefusedResultError for a result that is not to be used, unless forced. Raises CasacalError for standard
     deviations of the nominal arm, of a result that holds no covariance, or of one that is not to be used, and for
@@ -270,6 +272,8 @@ def predict(
     if std and nominal:
         raise CasacalError("The nominal arm has no standard deviation", "Leave out --nominal or --std")
     spread = position_stds(result, data[:, :known], frame, zeros, extra) if std else None
+    if spread is not None and frame == "flange" and not result.flange_known:
+        spread = np.full_like(spread, np.nan)
     return Prediction(positions, quaternions_of(poses[:, :3, :3]), spread, unseen, extra.missing, extra.beyond, denial)
 
 
@@ -281,5 +285,7 @@ def write_prediction(path: str | Path, prediction: Prediction, remarks: Sequence
     lines += ["x_mm,y_mm,z_mm,qw,qx,qy,qz" + (",std_mm" if prediction.std is not None else "")]
     for i, (place, turn) in enumerate(zip(prediction.positions, prediction.quaternions, strict=True)):
         cells = [f"{v:.6f}" for v in place] + [f"{v:.12f}" for v in turn]
-        lines.append(",".join(cells if prediction.std is None else [*cells, f"{prediction.std[i]:.6f}"]))
+        lines.append(
+            ",".join(cells if prediction.std is None else [*cells, f"{prediction.std[i]:.6f}".replace("nan", "")])
+        )
     write_text(path, "\n".join(lines) + "\n")

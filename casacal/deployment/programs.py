@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casacal.deployment.arm import TRUTH, CalibratedArm, column_notes
+from casacal.deployment.arm import FLANGE_UNKNOWN, TRUTH, CalibratedArm, column_notes
 from casacal.deployment.compensate import Compensation, Outcome, Rounding
 from casacal.deployment.inverse_kinematics import torn
 from casacal.errors import CasacalError, refuse_unknown
@@ -150,8 +150,8 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
             f"{_figures(compensation.correction_mm[reached], 'mm')}",
         ]
         lines += no_gain(compensation.correction_mm[reached], compensation.expected_mm[reached])
-    if compensation.frame == "flange" and math.isnan(result.found.tip.flange_expected_mm) and denial is None:
-        lines.append("the error of the flange is not known, see the verdict: --frame tip if this tip does the work")
+    if compensation.frame == "flange" and not result.flange_known and denial is None:
+        lines.append(FLANGE_UNKNOWN)
     elif reached.any() and denial is None:
         lines.append(
             f"position error of the {compensation.frame} to expect: "

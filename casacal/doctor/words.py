@@ -34,7 +34,7 @@ def diagnosis_text(found: Diagnosis, joints: Sequence[Joint] | None = None) -> s
             f"Equivalent: {ways} ways to write it give the same pose at all joint values, as with the two branches of "
             f"a spherical wrist; the one with the fewest changes is given"
         )
-    lines += [*_further(found), ""]
+    lines += [*_further(found, joints), ""]
     if not found.certain:
         lines.append("# not certain: the simplest of the conventions that fit")
     name, unit = min(best.rotations, key=lambda key: best.rotations[key])
@@ -116,18 +116,24 @@ def _open(values: Sequence[str], sure: bool) -> str:
     return f"open: {' or '.join(f'[{value}]' for value in different[:SHOWN])}{more}"
 
 
-def _further(found: Diagnosis) -> list[str]:
+def _further(found: Diagnosis, joints: Sequence[Joint] | None) -> list[str]:
     pose, best = found.further, found.meanings[0]
     if pose is None:
         return []
     least = f"{figures(pose.least_mm)} mm and {figures(math.degrees(pose.least_rad))} deg"
     if pose.separates == 0:
         return [f"No posture distinguishes them: the closest two never differ by more than {least}"]
-    values = ", ".join(f"q{i} = {value:g}" for i, value in enumerate(pose.joints, 1))
+    turns = [joint.turns for joint in joints] if joints is not None else [True] * len(pose.joints)
+    units = [best.joint_unit if turn else best.length_unit for turn in turns]
+    values = ", ".join(
+        f"q{i} = {each[0]:g} {each[1]}" for i, each in enumerate(zip(pose.joints, units, strict=True), 1)
+    )
+    if len({*units}) == 1:
+        values = ", ".join(f"q{i} = {value:g}" for i, value in enumerate(pose.joints, 1)) + f" ({units[0]})"
     what = "the conventions that fit" if len(found.meanings) > 1 else "this convention and those next to it"
     all_or = "all" if pose.separates == 1 else f"{100 * pose.separates:.0f} % of"
     return [
-        f"To settle it, move to {values} ({best.joint_unit}), if nothing is in the way, and add a row: it "
+        f"To settle it, move to {values}, if nothing is in the way, and add a row: it "
         f"distinguishes {all_or} pairs of {what}, the closest by {least}"
     ]
 

@@ -281,7 +281,9 @@ class LeastSquares(ABC):
     @cached_property
     def prior_rows(self) -> Array:
         """W (k, n): the prior as whitened rows, W'W its information; none along what is flat."""
-        names, together = self.names, () if self.known is None else self.known.names
+        # of a name that is known twice the last counts, as where what stands may have moved
+        names = self.names
+        together = {} if self.known is None else {name: j for j, name in enumerate(self.known.names)}
         finite = [j for j in range(self.unknowns) if np.isfinite(self.prior_std[j])]
         firm = [j for j in finite if names[j] not in together]
         rows = np.zeros((len(firm), len(names)))
@@ -289,7 +291,7 @@ class LeastSquares(ABC):
         if self.known is None:
             return rows
         held = [j for j in finite if names[j] in together]
-        index = [together.index(names[j]) for j in held]
+        index = [together[names[j]] for j in held]
         dense = np.zeros((len(held), len(names)))
         dense[:, held] = whitening_of(self.known.covariance[np.ix_(index, index)])
         return np.vstack([rows, dense])

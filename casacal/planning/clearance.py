@@ -46,7 +46,7 @@ class Clearance(Value):
 
     def around(self, robot: Robot, cell: Disturbances | None) -> Around:
         """What there is around an arm, with the table and the faces of a cell."""
-        boxes = (*self.boxes, *(() if cell is None else cell.keep_out))
+        boxes = tuple(dict.fromkeys((*self.boxes, *(() if cell is None else cell.keep_out))))
         solids = [Solid.box(f"box {number}", box) for number, box in enumerate(boxes, 1)]
         for face in cell.faces if isinstance(cell, Cell) else ():  # as thick as a plate that lies on a table
             low, high = (np.array([end, *(side * np.asarray(face.size) / 2)]) for end, side in ((-PLATE, -1), (0.0, 1)))

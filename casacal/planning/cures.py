@@ -219,7 +219,8 @@ def _with_rows(
     scale = times({OTHERS: others, **bound.scale}, offer.noise)
     information = np.zeros((stand.size, stand.size))
     information[: x.size, : x.size] = data
-    return BoundProblem(problem, tuple(slots), (rows,), "blocks", scale=scale), stand, information
+    made = BoundProblem(problem, tuple(slots), (rows,), "blocks", scale=scale, known=bound.known)
+    return made, stand, information
 
 
 def _field(arm: ArmProblem, at: Array) -> Array:

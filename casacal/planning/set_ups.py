@@ -97,7 +97,8 @@ def with_block(problem: Problem, cell: Cell, height: float) -> tuple[Problem, Ce
     stepped = None if several is None else several.with_step(label, first.label, height)
     if stepped is None:
         return None
-    return Problem(problem.robot, stepped), replace(cell, faces=(*cell.faces, block_on(first, label, height)))
+    stood = replace(cell, faces=(*cell.faces, block_on(first, label, height)))
+    return problem.with_parts(problem.robot, (stepped,)), stood
 
 
 def block_text(source: ProblemFile, cell: Cell, folder: Path, instrument: str | None) -> str:
@@ -141,7 +142,7 @@ def _ways(problem: Problem, cell: Cell) -> Iterator[tuple[str, str, Problem, Cel
     yield f"as it is: {number}, tilt up to {tilt:.0f} degrees", "", problem, cell
     first = cell.faces[0]
     several = problem.instrument.with_faces_by_label()
-    labelled = problem if several is None else Problem(problem.robot, several)
+    labelled = problem if several is None else problem.with_parts(problem.robot, (several,))
     if count > 1:
         yield f"one plate, '{first.label}'", _plates([first]), problem, replace(cell, faces=(first,))
     if several is not None:

@@ -239,18 +239,20 @@ def _steered(
         found = compensate(result, targets_from(joints, result.source), frame=frame, largest=largest, rounding=FINE)
         meant = run.flanges[known] if frame == "flange" else predict(result, joints, frame=frame, nominal=True).poses
         return found.joints, meant, found.outcomes, found.expected_mm, found.missing
-    there = predict(result, joints, std=inverse)
+    there = predict(result, joints, std=True)
+    assert there.std is not None
     at = there.poses[:, :3, 3], there.poses[:, :3, :3]
     if other is not None:
         _refuse_other_type(result, other, joints)
         targets = Targets(joints, at, tuple(range(len(joints))), ("",) * len(joints), run.program.paths[0], "")
         found = compensate(other, targets, largest=largest, rounding=FINE)
-        return found.joints, there.poses, found.outcomes, found.expected_mm, found.missing
+        expected = np.hypot(found.expected_mm, there.std)  # both arms err
+        return found.joints, there.poses, found.outcomes, expected, {**there.missing, **found.missing}
     moved = run.arm.reach(*at, joints, steps=STEPS)
     jumps, taken = np.abs(moved - joints).max(axis=1) > largest, run.arm.takes(moved, *at)
     ended = [Outcome.SINGULAR if jump else Outcome.REACHED for jump in jumps]
     ended = [each if good else Outcome.UNREACHABLE for each, good in zip(ended, taken, strict=True)]
-    return moved, there.poses, ended, there.std if there.std is not None else np.full(len(moved), np.nan), there.missing
+    return moved, there.poses, ended, there.std, there.missing
 
 
 def _other_tools(result: CalibratedArm, run: ProgramRun, known: Which) -> dict[int, str]:
@@ -344,12 +346,15 @@ def predict_program(
     return run, predict(result, np.nan_to_num(run.joints), std=result.denial is None, force=force)
 
 
-def write_program_prediction(path: str | Path, run: ProgramRun, prediction: Prediction) -> None:
+def write_program_prediction(
+    path: str | Path, run: ProgramRun, prediction: Prediction, remarks: Sequence[str] = ()
+) -> None:
     """Write a row for each move: line, target, motion, pose, how far off it is, the flange's standard deviation.
 
-    Poses are of the tool in force, of joints without one of the flange, in the base frame.
+    Poses are of the tool in force, of joints without one of the flange, in the base frame. remarks: sentences above.
     """
     lines = [f"# predicted moves of {run.program.paths[0]}, {MADE}: the tool in force, in the base frame"]
+    lines += [f"# {remark}" for remark in remarks]
     lines += [] if prediction.denial is None else [f"# WARNING, against the verdict: {prediction.denial}"]
     lines = [" ".join(line.split()).encode("unicode_escape").decode("ascii") for line in lines]
     lines.append("line,target,motion,x_mm,y_mm,z_mm,qw,qx,qy,qz,off_mm,std_mm")
@@ -357,7 +362,7 @@ def write_program_prediction(path: str | Path, run: ProgramRun, prediction: Pred
     turns, off = quaternions_of(tips[:, :3, :3]), np.linalg.norm((tips - meant)[:, :3, 3], axis=1)
     for move in run.program.moves:
         if (i := move.target) not in run.why:
-            std = "" if prediction.std is None else f"{prediction.std[i]:.6f}"
+            std = "" if prediction.std is None else f"{prediction.std[i]:.6f}".replace("nan", "")
             numbers = [f"{v:.6f}" for v in tips[i, :3, 3]] + [f"{v:.12f}" for v in turns[i]] + [f"{off[i]:.6f}", std]
             name = run.program.targets[i].name.replace('"', "'").replace(",", ";")
             lines.append(",".join([str(move.line), name, move.motion, *numbers]))

@@ -225,6 +225,11 @@ class TaughtProgram(Value):
             f"<{SUFFIX[self.language]} program {self.paths[0]}: {len(self.moves)} moves, {len(self.targets)} targets>"
         )
 
+    def where(self, place: Target | Puzzle) -> str:
+        """The line of a place, and its file where there are several."""
+        line = f"line {place.line}"
+        return line if len(self.paths) == 1 else f"{self.paths[place.file]}, {line}"
+
     def refuse_puzzles(self) -> None:
         """Raise CasacalError where a line is not understood."""
         if self.puzzles:

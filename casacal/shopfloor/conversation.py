@@ -16,7 +16,7 @@ from casacal.errors import CasacalError
 from casacal.model.instrument import OVERTRAVEL, readings_within
 from casacal.model.problem import Problem
 from casacal.planning.route import CHECK, joints_shown
-from casacal.shopfloor.gauges import Gauge
+from casacal.shopfloor.gauges import GAUGES, UNITS, Gauge
 from casacal.shopfloor.known import per_reading
 from casacal.shopfloor.session import Session
 from casacal.shopfloor.touch import Touch, beyond_travel
@@ -48,10 +48,10 @@ class Typed(NamedTuple):
     labels: dict[str, str]
 
 
-def help_words(problem: Problem) -> str:
+def help_words(problem: Problem, gauge: Gauge | None = None) -> str:
     """Entries that a session of a problem with one instrument accepts, and what to see to before."""
     layout, words = problem.layout(), problem.instrument.words
-    read, reading = in_units(layout), "reading" if len(layout.columns) == 1 else "readings"
+    read, reading = in_units(layout, gauge), "reading" if len(layout.columns) == 1 else "readings"
     said = ["Bring the arm to the posture.", *([sentence(words.approach)] if words.approach else [])]
     said.append(
         "If the controller shows the joint values as planned, "
@@ -63,10 +63,11 @@ def help_words(problem: Problem) -> str:
     return " ".join([*said, COMMANDS])
 
 
-def in_units(layout: Layout) -> str:
-    """Readings and the units in which they are typed: "reading in mm"; a number has no unit."""
-    units = {"angle": " in degrees", "length": " in mm", "number": ""}
-    return ", ".join(f"{name}{units[kind]}" for name, kind in layout.columns.items())
+def in_units(layout: Layout, gauge: Gauge | None = None) -> str:
+    """Readings and the units in which they are typed, those of a gauge: "reading in mm"; a number has no unit."""
+    units = {name: (gauge or GAUGES["plain"]).unit_of(kind) for name, kind in layout.columns.items()}
+    words = {"deg": "degrees", "in": "inches", '"': "inches", "inch": "inches"}
+    return ", ".join(f"{name} in {words.get(unit, unit)}" if unit else name for name, unit in units.items())
 
 
 def command_of(line: str) -> tuple[str, int | None] | None:
@@ -83,8 +84,9 @@ def command_of(line: str) -> tuple[str, int | None] | None:
 def touch_of(line: str, layout: Layout, planned: Touch | None, gauge: Gauge) -> Typed:
     """Parse a typed touch: readings alone where joints are as planned, or joints and readings, then labels.
 
-    Angles are typed in degrees, lengths in mm; numbers are apart by blanks or semicolons, or by commas where they have
-    points. A single number is read as the gauge would write it. Raises CasacalError for lines that are neither.
+    Joint values are typed in degrees and mm, readings in the gauge's unit; numbers are apart by blanks or semicolons,
+    or by commas where they have points. A single number is read as the gauge would write it. Raises CasacalError for
+    lines that are neither.
     """
     gauge.refuse_error(line)
     joints, readings = len(layout.joints), len(layout.columns)
@@ -104,7 +106,7 @@ def touch_of(line: str, layout: Layout, planned: Touch | None, gauge: Gauge) -> 
     if not labels and planned is None and layout.labels:
         raise CasacalError(f"The touch has no {layout.labels[0]}", "Type it after the numbers")
     named = dict(zip(layout.labels, labels, strict=True)) if labels else _labels(planned, layout)
-    read = _readings(cells[count - readings : count], layout)
+    read = _readings(cells[count - readings : count], layout, gauge)
     if planned is not None and as_planned:
         return Typed(planned.joints, read, named)
     pairs = zip(cells[:joints], layout.joints, strict=True)
@@ -133,7 +135,7 @@ def read_by(gauge: Gauge, line: str, layout: Layout, planned: Touch | None) -> T
         cells, count = [cell for cell in re.split(r"[\s;,]+", gauge.refuse_error(line)) if cell], len(layout.columns)
         if len(cells) != count or not all(NUMBER.fullmatch(cell) for cell in cells):
             raise CasacalError(f"The gauge sent {line.strip()!r}", f"A line of it is {counted(count, 'number')}")
-        read = _readings(cells, layout)
+        read = _readings(cells, layout, gauge)
     return Typed(planned.joints, read, _labels(planned, layout))
 
 
@@ -141,10 +143,10 @@ def _labels(planned: Touch | None, layout: Layout) -> dict[str, str]:
     return {} if planned is None else {name: planned.labels[name] for name in layout.labels}
 
 
-def _readings(cells: Sequence[str], layout: Layout) -> dict[str, float]:
-    """Readings by column (mm, rad) from numbers as people type them."""
+def _readings(cells: Sequence[str], layout: Layout, gauge: Gauge) -> dict[str, float]:
+    """Readings by column (mm, rad) from numbers as people type them, in the unit of the gauge."""
     pairs = zip(layout.columns.items(), cells, strict=True)
-    return {name: _number(cell) / WRITTEN[kind][1] for (name, kind), cell in pairs}
+    return {name: _number(cell) * UNITS[kind][gauge.unit_of(kind)] for (name, kind), cell in pairs}
 
 
 def _number(text: str) -> float:
@@ -166,7 +168,7 @@ def answered(session: Session, proposed: Touch | None, line: str, gauge: Gauge, 
     try:
         command = None if sent else command_of(line)
         if command is not None:
-            return _obeyed(session, proposed, *command)
+            return _obeyed(session, proposed, gauge, *command)
         if session.alarm is not None:
             return Answer(session, ("Answer first, by u, c or k", *doubt(session)))
         layout = session.problem.layout()
@@ -193,9 +195,9 @@ def _of_another(session: Session, joints: Array, proposed: Touch | None) -> int 
     return int(off.argmin()) + 1
 
 
-def _obeyed(session: Session, proposed: Touch | None, word: str, number: int | None) -> Answer:
+def _obeyed(session: Session, proposed: Touch | None, gauge: Gauge, word: str, number: int | None) -> Answer:
     if word == HELP:
-        return Answer(session, (help_words(session.problem),))
+        return Answer(session, (help_words(session.problem, gauge),))
     if word == QUIT:
         return Answer(session, (), ended=True)
     if word == SKIP:
@@ -251,11 +253,11 @@ def repeats_last(session: Session, line: str, gauge: Gauge) -> bool:
     return False
 
 
-def waiting(session: Session, proposed: Touch | None, *, by_gauge: bool) -> str:
+def waiting(session: Session, proposed: Touch | None, gauge: Gauge | None = None, *, by_gauge: bool) -> str:
     """Sentence that states what the session is waiting for."""
     if session.alarm is not None:
         return f"Waiting for an answer about touch {session.shown(session.alarm.touch)}: u, c or k"
-    read = in_units(session.problem.layout())
+    read = in_units(session.problem.layout(), gauge)
     number = "one more touch" if proposed is None or proposed.number is None else f"touch {proposed.number}"
     how = f"{read}, {'from the gauge or typed' if by_gauge else 'typed'}" if read else "Enter when the tip touches"
     return f"Waiting for {number}: {how}"

@@ -66,6 +66,10 @@ class Gauge:
         """Whether a line has the form of a reading; raises CasacalError where it reports an error."""
         return re.fullmatch(self.pattern, self.refuse_error(line), re.IGNORECASE) is not None
 
+    def unit_of(self, kind: Dimension) -> str:
+        """The unit of a bare number."""
+        return self.unit.lower() if self.unit.lower() in UNITS[kind] else next(iter(UNITS[kind]))
+
     def reading(self, line: str, kind: Dimension = "length") -> float:
         """The reading of a line in mm or rad, or as a number; CasacalError without one or in another kind of unit."""
         text = self.refuse_error(line)

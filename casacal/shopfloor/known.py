@@ -16,6 +16,7 @@ from casacal.data.samples import Samples, joined
 from casacal.errors import CasacalError, ProblemError
 from casacal.fit.bound_problem import OTHERS, BoundProblem, bind
 from casacal.fit.filters import Belief, begun
+from casacal.fit.kernel_rows import stated_prior
 from casacal.fit.least_squares import Gaussian
 from casacal.fit.lm import lm
 from casacal.fit.slots import Slot, instances, make_slots
@@ -385,7 +386,9 @@ def _with_starts(bound: BoundProblem) -> BoundProblem:
     """Problem with flat priors as wide as a filter's start, so that few touches leave the covariance finite."""
     flat = np.flatnonzero(~np.isfinite(bound.prior_std))
     names = tuple(bound.names[j] for j in flat)
-    return bound.with_known(Gaussian(names, bound.x0[flat], np.diag(bound.start_std[flat] ** 2)))
+    wide = Gaussian(names, bound.x0[flat], np.diag(bound.start_std[flat] ** 2))
+    stated = stated_prior(bound.problem.constraints, bound.slots)
+    return bound.with_known(wide if stated is None else stated.beside(wide))
 
 
 def counts(problem: Problem, samples: Samples) -> dict[str, bool]:

@@ -151,7 +151,7 @@ def _measure(work: Work) -> dict[str, Any]:
         "gauge": work.place.gauge.name if work.line is not None else None,
         "asks": bool(work.place.gauge.asks) and work.line is not None,
         "controller": work.place.stands is not None,
-        "help": help_words(session.problem),
+        "help": help_words(session.problem, work.place.gauge),
         "skipped": sorted(session.skipped - {touch.number for touch in session.touches}),
     }
     found |= _next(work, recording)
@@ -203,7 +203,7 @@ def _next(work: Work, recording: Recording) -> dict[str, Any]:
         return {"next": None, "waiting": str(error)}
     if proposed is None:
         return {"next": None, "waiting": ""}
-    words = waiting(session, proposed, by_gauge=work.line is not None)
+    words = waiting(session, proposed, work.place.gauge, by_gauge=work.line is not None)
     found = {
         "number": proposed.number,
         "where": ", ".join(proposed.labels[name] for name in layout.labels),

@@ -7,6 +7,7 @@ them, and fit/ as `casacal calibrate` does. What is held here besides can be mad
 from __future__ import annotations
 
 import base64
+import hashlib
 import logging
 import math
 import re
@@ -122,10 +123,10 @@ class Work:
 
     @property
     def outdated(self) -> bool:
-        """Whether touches were made or changed after the calibration."""
-        result, samples = self.place.fit / "result.json", self.place.samples
+        """Whether touches are others than those that the calibration was made from."""
         with suppress(OSError):
-            return samples.stat().st_mtime > result.stat().st_mtime
+            made = hashlib.sha256(self.place.samples.read_bytes()).hexdigest()
+            return self.arm is not None and self.arm.found.data.sha256 != made
         return False
 
     @property
@@ -420,16 +421,20 @@ class Work:
             samples = self.source.problem.read(self.place.samples)
             found = calibrate(self.source, samples)
             found.save(self.place.fit)
+            with self.lock:
+                self.arm, self.verified = read_result(self.place.fit), None
+                self.said.pop("verify", None)
             told = (found.verdict.words, *found.verdict.reasons, found.arm.mirror_words)
             lines = brief(found, found.verdict, out=self.place.fit.as_posix(), width=10_000).split("\n")
             said = [line for line in lines if line.strip(" -") not in told]
             if self.place.since is not None:
                 from casacal.changes.changed import changed
 
-                said += ["Since the earlier calibration:", *changed(self.place.since, samples).summary().split("\n")]
-            with self.lock:
-                self.arm, self.verified = read_result(self.place.fit), None
-                self.said.pop("verify", None)
+                try:
+                    since = changed(self.place.since, samples).summary().split("\n")
+                except CasacalError as error:  # such as an earlier result of another instrument
+                    since = [str(error)]
+                said += ["Since the earlier calibration:", *since]
             self.changed("decide", [line.strip() for line in said if line.strip()])
 
         return self._run("decide", "calibrating", run)
@@ -447,10 +452,9 @@ class Work:
 
             found = verify(arm, self.source.problem.read(check), tolerance=tolerance)
             write_text(self.place.folder / "verified.html", found.page(), own=True)
-            said = found.summary(whole=False).split("\n")
             with self.lock:
                 self.verified = found
-            self.changed("verify", said + ([] if arm.mirror_words is None else [arm.mirror_words]))
+            self.changed("verify", found.summary(whole=False).split("\n"))
 
         return self._run("verify", "verifying", run)
 

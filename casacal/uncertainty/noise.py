@@ -101,7 +101,8 @@ def noise_over_stated(result: Result) -> Noise:
     stated = bound.with_noise().noise
     of_a_touch = bound.with_noise({name: each for name, each in scale.items() if name != SHARED}).noise
     mean = math.sqrt(float((of_a_touch**2).sum() / (stated**2).sum()))
-    if len(bound.samples) > 1:  # whose residuals may be of different units
+    units = {block.unit for instrument in bound.problem.instruments for block in instrument.blocks}
+    if len(bound.samples) > 1 or len(units) > 1:  # residuals of different units
         mean = math.sqrt(float(((of_a_touch / stated) ** 2).mean()))
     again = repeats_in(bound) if result.loss is None else None
     ratio, low, high = (mean * each for each in _interval(result, again))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Protocol
@@ -45,14 +45,15 @@ def prior_tip_rms(problem: Problem) -> float:
     return math.sqrt(float(((field * stds) ** 2).sum()) / len(tips))
 
 
-def scaled_to_accuracy(problem: Problem, accuracy: float) -> Problem:
+def scaled_to_accuracy(problem: Problem, accuracy: float, *, held: Sequence[str] = ()) -> Problem:
     """Copy whose arm priors, all scaled alike, predict a tip error of `accuracy` mm RMS, as the maker states it.
 
-    Raises ProblemError unless the accuracy is 0.01 mm or more, and the priors are finite and move the tip.
+    held: parameters that are to be held, and then err by nothing. Raises ProblemError unless the accuracy is 0.01 mm or
+    more, and the priors are finite and move the tip.
     """
     if not FINEST <= accuracy < math.inf:
         raise ProblemError(f"The maker's accuracy is {accuracy:g} mm", f"Give mm, {FINEST} or more")
-    present = prior_tip_rms(problem)
+    present = prior_tip_rms(problem.fix(*held))
     if not 0 < present < math.inf:
         what = f"The arm's priors predict a tip error of {present:g} mm"
         raise ProblemError(what, "Give finite priors before scaling them")

@@ -102,7 +102,7 @@ class Scatter:
     def reject_above_mm(self, tolerance: float, risk: float) -> float:
         """Smallest measured error that is rejected."""
         square = (tolerance**2 + self.most) * float(gammainccinv(self.half, risk)) / self.half
-        return math.sqrt(square - self.noise)
+        return math.sqrt(max(square - self.noise, 0.0))
 
 
 @dataclass(frozen=True)

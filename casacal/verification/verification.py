@@ -16,7 +16,7 @@ from markupsafe import Markup
 from casacal.calibration.as_arm import AsArm
 from casacal.calibration.fresh import Fresh, Judged, Opened, opened
 from casacal.data.samples import Samples
-from casacal.deployment.arm import CalibratedArm
+from casacal.deployment.arm import CalibratedArm, cautions
 from casacal.errors import CasacalError, SamplesError
 from casacal.model.problem import Problem
 from casacal.model.problem_file import ProblemFile
@@ -458,8 +458,11 @@ def _judged(case: Opened, standing: tuple[str, ...], tolerance: float | None, ri
     sizes.append(_lengths(rows.std[: bound.rows] * bound.noise, per_row))
     noise, most, stated = visible.noises_mm()
     promised, hidden = _tips(fresh)
+    judged = case.judged(fresh, standing)
+    # fresh rows of the same instrument fit a mirror image as well
+    known = [words for words in cautions(case.arm) if words != case.arm.caution]  # which the verdict says
     return Verification(
-        case.judged(fresh, standing),
+        replace(judged, remarks=(*judged.remarks, *known)),
         before_mm=rms(sizes[0]),
         after_mm=rms(sizes[1]),
         predicted_mm=rms(sizes[2]),

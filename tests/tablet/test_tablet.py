@@ -2,7 +2,9 @@
 
 import base64
 import csv
+import hashlib
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -36,6 +38,7 @@ from casacal.tablet.asked import number_of, pendant_table, uploaded
 from casacal.tablet.gates import document
 from casacal.tablet.server import address_of, is_this_machine, listening, server, token_of
 from casacal.tablet.work import OutdatedError, Work, Workplace, for_page
+from casacal.values import FrozenMapping
 from casacal.wording import mm
 
 PLAIN = gauge("plain")
@@ -590,6 +593,28 @@ def measured(workplace, planned):
     return work
 
 
+def test_an_earlier_result_that_cannot_be_compared_leaves_the_new_arm_in_use(calibrated, monkeypatch):
+    """Targets must not be those of the arm before; and touches are known by what they hold, not by when it was."""
+    work = page_of(calibrated)
+    before = work.arm
+
+    def refuse(*_, **__):
+        raise CasacalError("The rows have no column 'x'", "Give it")
+
+    monkeypatch.setattr("casacal.changes.changed.changed", refuse)
+    work.place = replace(work.place, since=before)
+    work.do("calibrate", {"version": work.version})
+    wait(work)
+    assert work.arm is not before
+    assert not work.failed["decide"]
+    assert any("no column 'x'" in words for words in work.said["decide"])
+    assert not work.outdated
+    text = work.place.samples.read_text()
+    work.place.samples.write_text(text + text.splitlines()[-1] + "\n")
+    os.utime(work.place.samples, (1, 1))
+    assert work.outdated, "however old the file says it is"
+
+
 def test_touches_that_were_left_out_are_named_and_asked_for_again(measured):
     for line in ("s 12", "s 13"):
         enter(measured, line)
@@ -813,7 +838,9 @@ def hand_over(work, frame, **files):
 def test_what_was_chosen_goes_where_it_was_meant_to_go(calibrated, ur5_arm, frame, expected):
     """Tip or flange of the calibrated arm stand where those of the nominal one would; the error to expect is said."""
     work = page_of(calibrated)
-    work.arm = ur5_arm  # whose tool is no better known than its flange
+    held = hashlib.sha256(work.place.samples.read_bytes()).hexdigest()
+    parts = {**ur5_arm.document, "data": {**ur5_arm.document["data"], "sha256": held}}  # as if from these touches
+    work.arm = replace(ur5_arm, document=FrozenMapping(parts))  # whose tool is no better known than its flange
     gate = document(work)["gates"]["hand_over"]
     assert [value for value, _ in gate["frames"]] == ["tip", "flange"]  # the first is what Decide speaks of
     value = getattr(work.arm.found.tip, expected)

@@ -567,7 +567,7 @@ def test_the_same_postures_touched_again_are_fresh(spent):
     assert again.judged.rows > 0.7 * len(old)  # a reading may be the old one by chance
     assert f"{again.judged.rows} of {again.judged.rows} rows are in postures that were fitted." in again.summary()
     elsewhere = verify(arm, frame_of(spent[2]))
-    assert elsewhere.judged.remarks == ()
+    assert all("would be mirrored" in words for words in elsewhere.judged.remarks)
     one = frame_of(spent[2]).assign(q1_deg=old["q1_deg"].iloc[:FRESH].to_numpy())
     assert not [said for said in verify(arm, one).judged.remarks if "postures" in said], (
         "one joint alone makes no posture"
