@@ -208,9 +208,9 @@ def test_residuals_that_nothing_explains_are_looked_at_before_priors(hsr, corner
     one = ["floor" if label == "wall" else label for label in samples.labels["plane"]]
     merged = dataclasses.replace(samples, labels={**samples.labels, "plane": Labels.of(one)})
     found = calibrate(hsr.problem, merged, reference=False)
-    monkeypatch.setattr("casacal.calibration.brief.priors_contradicted", lambda _: "they do not fit")
-    monkeypatch.setattr("casacal.calibration.brief.wrong_with_samples", lambda _: ())
     verdict = verdict_of(found)
+    monkeypatch.setattr("casacal.calibration.verdict.priors_contradicted", lambda _: "they do not fit")
+    monkeypatch.setattr("casacal.calibration.verdict.wrong_with_samples", lambda _: ())
     assert "hardly lowered them" in verdict.words
     assert next_step(found, verdict).startswith("run casacal check")
 
