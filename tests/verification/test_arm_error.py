@@ -286,3 +286,11 @@ def test_wider_tolerances_are_accepted_and_narrower_ones_rejected():
         narrow += decide(scatter, rows, true / 2.5, RISK).verdict == "reject"
     assert wide > 0.8 * trials
     assert narrow > 0.8 * trials
+
+
+def test_a_risk_near_one_half_rejects_from_no_error_on():
+    """The median of few rows' mean square lies below its mean, and a tolerance of a micrometre adds nothing."""
+    scatter = Scatter(4e-4, 4e-4, 4e-4, 6.0)
+    assert 6.0 > chi2.ppf(0.55, 6.0)
+    assert scatter.reject_above_mm(0.001, 0.45) == 0.0
+    assert scatter.reject_above_mm(0.001, 0.05) > 0.0
