@@ -291,6 +291,6 @@ def test_wider_tolerances_are_accepted_and_narrower_ones_rejected():
 def test_a_risk_near_one_half_rejects_from_no_error_on():
     """The median of few rows' mean square lies below its mean, and a tolerance of a micrometre adds nothing."""
     scatter = Scatter(4e-4, 4e-4, 4e-4, 6.0)
-    assert 6.0 > chi2.ppf(0.55, 6.0)
+    assert chi2.ppf(0.55, 6.0) < 6.0
     assert scatter.reject_above_mm(0.001, 0.45) == 0.0
     assert scatter.reject_above_mm(0.001, 0.05) > 0.0
