@@ -80,15 +80,31 @@ class RowsSince:
     result: EarlierResult
 
     def bound(
-        self, samples: Samples, *, set_aside: bool, noise: bool, kit: bool
+        self,
+        samples: Samples,
+        *,
+        set_aside: bool,
+        noise: bool,
+        kit: bool,
+        backend: str | None = None,
+        threads: int | None = None,
     ) -> tuple[BoundProblem, BoundProblem, tuple[Finding, ...]]:
         """Rows under all that the earlier result knows, under the geometry alone, and what is wrong with some.
 
-        With its effects beside the geometry, of their sizes (`kit`), and with the noise that it found (`noise`). Raises
-        CasacalError for what cannot be loosened, or stand; SamplesError for too few rows.
+        With its effects beside the geometry, of their sizes (`kit`), and with the noise that it found (`noise`).
+        backend, threads: as for `bind`. Raises CasacalError for what cannot be loosened, or stand; SamplesError for too
+        few rows.
         """
         case, standing = self.opened, self.result.standing
-        fresh = fresh_rows(case.arm, case.source.problem, samples, other=case.other, standing=standing)
+        fresh = fresh_rows(
+            case.arm,
+            case.source.problem,
+            samples,
+            other=case.other,
+            standing=standing,
+            backend=backend,
+            threads=threads,
+        )
         fresh = with_memory(fresh, case.arm).loosened(self.result.loosened)
         if fresh.lost.any():
             name = fresh.gaussian.names[int(np.flatnonzero(fresh.lost)[0])]

@@ -271,15 +271,23 @@ def guesses(bound: BoundProblem, known: Rows) -> tuple[Index, Array]:
 
 
 def fresh_rows(
-    result: CalibratedArm, problem: Problem, samples: Samples, *, other: bool, standing: Collection[str]
+    result: CalibratedArm,
+    problem: Problem,
+    samples: Samples,
+    *,
+    other: bool,
+    standing: Collection[str],
+    backend: str | None = None,
+    threads: int | None = None,
 ) -> Fresh:
     """Bind fresh rows to a result.
 
     problem: its arm, and the rows' instrument. other: whether that is not the calibration's. standing: labels of faces,
-    or keys, of what stands where it was. CasacalError for what cannot stand, SamplesError for too few or many rows.
+    or keys, of what stands where it was. backend, threads: as for `bind`. CasacalError for what cannot stand,
+    SamplesError for too few or many rows.
     """
     kept = _kept(result, problem, samples, standing)
-    bound = _bound(result, problem, samples, kept, other=other)
+    bound = _bound(result, problem, samples, kept, other=other, backend=backend, threads=threads)
     covariance, names = all_motion(result) if result.corrected else named_covariance(result)
     values, corrected = {**result.found.values(alone=False), **result.found.unknowns}, result.found.of_effects
     places = {name: j for j, name in enumerate(names)}
@@ -313,7 +321,14 @@ def fresh_rows(
 
 
 def _bound(
-    result: CalibratedArm, problem: Problem, samples: Samples, kept: Mapping[str, Array], *, other: bool
+    result: CalibratedArm,
+    problem: Problem,
+    samples: Samples,
+    kept: Mapping[str, Array],
+    *,
+    other: bool,
+    backend: str | None,
+    threads: int | None,
 ) -> BoundProblem:
     """Bind rows with the calibration's effects and noise; ProblemError where rows lack columns that tell an effect."""
     for effect in problem.terms:
@@ -327,7 +342,7 @@ def _bound(
         if slot.unknown.nominal is None and not slot.unknown.size and slot.name not in kept:
             fix = "Calibrate without --fix, or name it with --standing if it has not moved"
             raise CasacalError(f"'{slot.name}' was held in the calibration, and its position now is not known", fix)
-    bound = BoundProblem(problem, slots, (samples,))
+    bound = BoundProblem(problem, slots, (samples,), backend, threads)
     if effects := result.found.effects.effects:  # what errs beside the geometry errs here, too, and anew
         times = {each.key: each.times for each in effects}
         bound = bound.under(result.with_its_kit(problem)).with_sizes(times)
@@ -369,9 +384,9 @@ def _kept(result: CalibratedArm, problem: Problem, samples: Samples, standing: C
 def _noise_used(result: CalibratedArm, bound: BoundProblem, *, other: bool) -> dict[str, float]:
     """Factor of each face's noise over what was stated, as the calibration used it; "" stands for other faces.
 
-    New faces get the mean square of the calibrated ones. Another instrument keeps its own noise, and what every face
-    showed beside the calibration's instrument is added: joints that do not repeat err whoever watches, while a face
-    that is not flat errs alone.
+    New faces get the mean square of the calibrated ones. Another instrument keeps its own noise, and where both read
+    lengths, what every face showed beside the calibration's instrument is added: joints that do not repeat err whoever
+    watches, while a face that is not flat errs alone.
     """
     noise = result.found.noise
     if not noise.by_face:
@@ -379,7 +394,8 @@ def _noise_used(result: CalibratedArm, bound: BoundProblem, *, other: bool) -> d
     pairs = {name: (face.stated_mm, face.without_joints_mm) for name, face in noise.by_face.items()}
     joints = {f"{REPEATABILITY}{noise.loose_joint or ''}": noise.joints_rad} if noise.joints_rad > 0 else {}
     if other:
-        excess = min(used**2 - stated**2 for stated, used in pairs.values())
+        read = {*result.source.problem.instrument.columns.values(), *bound.problem.instrument.columns.values()}
+        excess = min(used**2 - stated**2 for stated, used in pairs.values()) if read <= {"length"} else 0.0
         stated = float(np.median(bound.block.noise))
         return {OTHERS: math.sqrt(1 + max(excess, 0.0) / stated**2), **joints}
     factors = {name: used / stated for name, (stated, used) in pairs.items()}
@@ -497,15 +513,25 @@ def opened(
     if isinstance(standing, str):
         raise CasacalError(f"Got the text '{standing}' as the list of what has not moved", f"Give ['{standing}']")
     found = arm_from(result, "the result")
-    arm = for_instrument(found, instrument if problem is not None else measured_by(found, samples, instrument))
+    if problem is None:
+        arm, other = for_instrument(found, measured_by(found, samples, instrument)), None
+    else:
+        arm, other = for_instrument(found), _measuring(problem_from(problem).problem, instrument)
     source, robot = arm.source, arm.source.problem.robot
-    if problem is not None:  # the result's arm with another problem's instrument
-        other = problem_from(problem).problem
+    if other is not None:  # the result's arm with another problem's instrument
         if not same_arm(robot, other.robot):
             what = f"{arm.file}: the arm of the problem ({other.robot.name}) is not the calibrated one ({robot.name})"
             raise CasacalError(what, "Give a problem whose robot is that of the calibration, parameter by parameter")
         source = ProblemFile.of(Problem(robot, other.instrument, terms=arm.source.problem.terms))
     return fresh_among(arm, source, samples_of(samples, source, 0), other=problem is not None)
+
+
+def _measuring(problem: Problem, name: str | None) -> Problem:
+    """A problem with the one of its instruments that took fresh rows; raises CasacalError where that is open."""
+    if name is None and len(problem.instruments) > 1:
+        fix = f"Name the one that took the rows: instrument='{problem.names[0]}', or --instrument {problem.names[0]}"
+        raise CasacalError(f"The problem has several instruments: {', '.join(problem.names)}", fix)
+    return problem if name is None else problem.measured_by(name)
 
 
 def measured_by(arm: CalibratedArm, samples: Any, instrument: str | None) -> str | None:

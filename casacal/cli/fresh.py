@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import OF_SEVERAL, RESULT, add, add_readings, program_table
+from casacal.cli.common import OF_SEVERAL, RESULT, add, add_readings, of_instrument, program_table
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
@@ -38,9 +38,9 @@ def fresh_rows(options: argparse.Namespace) -> tuple[CalibratedArm, ProblemFile 
     if not options.samples.strip():
         raise CasacalError("SAMPLES is empty", "Name a file of fresh rows")
     result = read_result(options.result)
-    other = None if options.problem is None else load_problem(options.problem)
+    other = None if options.problem is None else of_instrument(load_problem(options.problem), options.instrument)
     taken = program_table(options.samples, options) if is_program(options.samples) else options.samples
-    named = options.instrument if other is not None else measured_by(result, taken, options.instrument)
+    named = None if other is not None else measured_by(result, taken, options.instrument)
     problem = for_instrument(result, named).source.problem if other is None else other.problem
     if not isinstance(taken, str):
         return result, other, named, Samples.from_table(taken, problem.layout())

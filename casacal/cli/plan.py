@@ -80,8 +80,6 @@ def run(options: argparse.Namespace) -> int:
     if options.block is not None:
         source, place, texts = _with_block(source, options)
     found = _planned(source, options, clearance)
-    written, hindered = _written(source, options, found, clearance, texts)
-    warned += hindered
     compared, fitted, later = tuple[SetUp, ...](), found.purposes.count(FIT), options.after is not None
     if options.setups or (source.problem.instrument.probe is not None and not later and fitted <= POOL):
         box, targets = cell.where(options, source)
@@ -94,6 +92,8 @@ def run(options: argparse.Namespace) -> int:
             clearance=clearance,
             seed=options.seed,
         )
+    written, hindered = _written(source, options, found, clearance, texts)
+    warned += hindered
     rows = len(found) - found.purposes.count(CHECK)
     if rows < (least := touches_needed(source.problem, found.samples)) and not later:
         what = f"{rows} touches are fitted, but casacal calibrate needs at least {least} for all unknowns. Ask for more"

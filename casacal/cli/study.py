@@ -60,6 +60,9 @@ def run_source(source: StudyFile, options: argparse.Namespace) -> int:
     from casacal.study.description import Run
     from casacal.study.study_file import machine, note_machines, write_report
 
+    one = [name for name in ("report", "merge", "shard") if getattr(options, name)]
+    if len(one) > 1:
+        raise CasacalError(f"Got --{one[0]} and --{one[1]}", "Give one of them")
     if source.skipped and not options.report:
         say_paragraphs(f"Skipped: {source.skipped}")
         return DONE

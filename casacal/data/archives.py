@@ -54,7 +54,8 @@ def columns_of_arrays(arrays: Mapping[str, Any], file: str, digest: str) -> Colu
             raise SamplesError(file, "the label is not finite", "Give the row its label", line=row, column=name)
         names, codes = np.unique(values, return_inverse=True)
         try:
-            return Labels.coded((each.decode() if isinstance(each, bytes) else str(each) for each in names), codes)
+            words = [each.decode() if isinstance(each, bytes) else text_of_cell(each) for each in names]
+            return Labels.coded(words, codes)
         except (ValueError, SystemError):  # the latter is what Python makes of signs beyond Unicode
             raise SamplesError(file, "a label is not text of Unicode", "Store it as such", column=name) from None
 
@@ -220,7 +221,7 @@ def _first_sheet(book: Any, file: str) -> tuple[str, NumberedRows, NumberedRows]
         if places > MOST_PLACES:
             what = f"the sheet spans more than {MOST_PLACES:,} cells, most of them empty"
             raise SamplesError(file, what, "Delete the columns beside the samples, or save them as CSV", line=number)
-        cells = [_text(cell) for cell in row]
+        cells = [text_of_cell(cell) for cell in row]
         while cells and not cells[-1]:
             cells.pop()
         if not cells:
@@ -255,22 +256,17 @@ def _hidden_rows(stream: Any, file: str) -> set[int]:
     return hidden
 
 
-def _text(cell: Any) -> str:
-    """A cell as one would type it."""
-    if cell is None:
-        return ""
-    if isinstance(cell, float):
-        return str(int(cell)) if cell.is_integer() and abs(cell) < 1e15 else repr(cell)
-    return str(cell).strip()
+def text_of_cell(cell: Any) -> str:
+    """A cell as one would type it; "" for a missing one (None, or the NaN, NaT and NA of pandas)."""
+    if isinstance(cell, (float, np.floating)):
+        cell = float(cell)
+        return "" if cell != cell else str(int(cell)) if cell.is_integer() and abs(cell) < 1e15 else repr(cell)
+    return "" if cell is None or type(cell).__name__ in ("NAType", "NaTType") else str(cell).strip()
 
 
 def table_of_frame(frame: Any, source: str = "DataFrame") -> Table:
     """The cells of a frame as text; "line" is then its row, counted from 1."""
     header = tuple(str(name) for name in frame.columns)
-
-    def cell(value: Any) -> str:
-        return repr(float(value)) if isinstance(value, (float, np.floating)) else str(value).strip()
-
-    rows = tuple(tuple(map(cell, row)) for row in frame.itertuples(index=False, name=None))
+    rows = tuple(tuple(map(text_of_cell, row)) for row in frame.itertuples(index=False, name=None))
     digest = hashlib.sha256(repr((header, rows)).encode()).hexdigest()
     return Table(source, digest, header, 0, rows, tuple(range(1, len(rows) + 1)), decimal_comma=False)

@@ -313,7 +313,7 @@ class Samples(Value):
     @staticmethod
     def from_frame(frame: Any, layout: Layout, *, source: str = "DataFrame") -> Samples:
         """Samples from a pandas DataFrame with the columns of a samples file; raises SamplesError."""
-        from casacal.data.archives import columns_of_arrays, digest_of, table_of_frame
+        from casacal.data.archives import columns_of_arrays, digest_of, table_of_frame, text_of_cell
 
         _refuse_other(layout)
         header = [str(name) for name in frame.columns]
@@ -322,7 +322,9 @@ class Samples(Value):
         once = all(len(each) == 1 for each in found) and len(set(header)) == len(header)
         if once and numbers and all(frame[name].dtype.kind in "iuf" for name in numbers):
             used = {name: frame[name].to_numpy() for name in numbers}
-            used |= {name: frame[name].to_numpy(dtype=str) for name in layout.labels if name in header}
+            for name in (name for name in layout.labels if name in header):
+                codes, met = frame[name].factorize(use_na_sentinel=False)
+                used[name] = np.array([text_of_cell(each) for each in met])[codes]
             columns = replace(columns_of_arrays(used, source, digest_of(used)), header=tuple(header))
         else:  # cell by cell, where what is wrong is said
             columns = table_of_frame(frame, source).columns
@@ -331,10 +333,12 @@ class Samples(Value):
     @staticmethod
     def from_arrays(arrays: Mapping[str, Any], layout: Layout, *, source: str = "arrays") -> Samples:
         """Samples from arrays (N,) by the column names of a samples file; raises SamplesError."""
-        from casacal.data.archives import columns_of_arrays, digest_of
+        from casacal.data.archives import columns_of_arrays, digest_of, text_of_cell
 
         columns = {str(name): np.asarray(values) for name, values in arrays.items()}
-        columns = {name: values.astype(str) if values.dtype == object else values for name, values in columns.items()}
+        for name, values in columns.items():
+            if values.dtype == object:
+                columns[name] = np.array([text_of_cell(each) for each in values.ravel()]).reshape(values.shape)
         shapes = {values.shape for values in columns.values()}
         if len(shapes) != 1 or len(next(iter(shapes))) != 1 or not next(iter(shapes))[0]:
             found = ", ".join(f"{name} {values.shape}" for name, values in columns.items()) or "nothing"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 
 from casacal.data.samples import WRITTEN
@@ -67,9 +68,12 @@ def _shown(work: Work, gate: Callable[[Work], dict[str, Any]]) -> dict[str, Any]
 
 
 def files(work: Work) -> dict[str, Any]:
-    """Files that a window may fetch, by the name in their address; some may not be there yet."""
+    """Files that a window may fetch, by the name in their address; some may not be there yet.
+
+    A verification of an earlier calibration is none of them.
+    """
     place = work.place
-    return {
+    found = {
         "plan.csv": place.plan_file,
         "sheet.html": place.folder / "sheet.html",
         "samples.csv": place.samples,
@@ -79,6 +83,10 @@ def files(work: Work) -> dict[str, Any]:
         "parameters.csv": place.fit / "parameters.csv",
         "verified.html": place.folder / "verified.html",
     }
+    with suppress(OSError):
+        if found["verified.html"].stat().st_mtime_ns < found["result.json"].stat().st_mtime_ns:
+            del found["verified.html"]
+    return found
 
 
 def _cell(work: Work) -> dict[str, Any]:
@@ -238,6 +246,7 @@ def _decide(work: Work) -> dict[str, Any]:
         "missing": missing,
         "level": verdict.level,
         "words": verdict.words,
+        "made_from": work.arm.found.data.sha256,
         "reasons": list(verdict.reasons),
         "mirror": work.arm.mirror_words,
     }

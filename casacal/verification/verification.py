@@ -413,8 +413,8 @@ def verify(
         samples: fresh rows: `Samples`, a file, a pandas DataFrame, or arrays by column.
         problem: the same arm with the instrument of these rows, where it is not that of the calibration: a `Problem`,
             what `load_problem` returns, or a path.
-        instrument: which of the calibration's instruments took these rows, where there are several; by default the one
-            whose columns they have.
+        instrument: which of the calibration's instruments, or of those of `problem`, took these rows, where there are
+            several; by default the one of the calibration whose columns they have.
         standing: labels of faces ("floor") or unknowns ("plane", "tool") that stand where the calibration found them,
             and so are not fitted again.
         tolerance: largest RMS error, mm, that the arm may have in what this instrument sees: accepted, rejected or left

@@ -11,7 +11,7 @@ import pytest
 from conftest import ROOT
 from measured_world import World
 
-from casacal import Cell, Problem, TrackedPose, bind, calibrate, load_problem, plan, simulate
+from casacal import Cell, FixedPoint, Problem, TrackedPose, bind, calibrate, load_problem, plan, simulate, verify
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.verdict import _known_before
 from casacal.cli.common import adjusted
@@ -156,3 +156,47 @@ def test_a_box_of_the_cell_that_is_named_again_is_one_box(hsr):
     names = {other for _, other, _ in around.collisions(joints, np.zeros((5, 3)))}
     assert len([name for name in names if name.startswith("box")]) == 1
     assert isinstance(hsr.cell, Cell)
+
+
+def test_an_earlier_result_leaves_what_evaluates_the_rows_to_the_user(hsr, tmp_path):
+    made = simulate(hsr.problem, hsr.cell, samples=100, seed=3).samples
+    calibrate(hsr, made.take(np.arange(80)), method="lm", reference=False, discrepancy="none").save(tmp_path)
+    few, how = made.take(np.arange(80, 100)), {"method": "lm", "reference": False, "prior": tmp_path}
+    assert calibrate(hsr, few, **how, backend="blocks").fit.backend == "blocks"
+    assert calibrate(hsr, few, **how, backend="c").fit.backend == "c"
+    with pytest.raises(CasacalError, match="nonsense"):
+        calibrate(hsr, few, **how, backend="nonsense")
+
+
+def test_set_ups_are_refused_before_a_plan_is_written(tmp_path, capsys):
+    out = tmp_path / "plan.csv"
+    tracked = str(ROOT / "problems" / "instruments" / "tracker")
+    assert main(["plan", tracked, "--out", str(out), "--touches", "12", "--pool", "40", "--setups"]) == 2
+    assert "there are no set-ups" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_session_is_named_only_where_sessions_are_told_apart(tmp_path, capsys):
+    plan_file = tmp_path / "plan.csv"
+    assert main(["plan", str(HSR), "--out", str(plan_file), "--touches", "12", "--pool", "40"]) == 0
+    capsys.readouterr()
+    options = ["--plan", str(plan_file), "--out", str(tmp_path / "s.csv"), "--session", "monday"]
+    assert main(["measure", str(HSR), *options]) == 2
+    assert "no column that tells sessions apart" in capsys.readouterr().err
+
+
+def test_fresh_rows_name_their_instrument_in_another_problem(hsr, tmp_path):
+    """The calibration has a dial; the problem of the fresh rows has two instruments, of which one took them."""
+    dial = hsr.problem.instrument
+    made = simulate(hsr.problem, hsr.cell, samples=120, seed=3).samples
+    calibrate(hsr, made.take(np.arange(90)), method="lm", reference=False, discrepancy="none").save(tmp_path)
+    fresh = made.take(np.arange(90, 120))
+    both = Problem(hsr.problem.robot, {"pointer": FixedPoint(noise_std=0.03), "dial": dial})
+    with pytest.raises(CasacalError, match=r"several instruments: pointer, dial.*--instrument pointer"):
+        verify(tmp_path, fresh, problem=both)
+    found, alone = (
+        verify(tmp_path, fresh, problem=problem, instrument=name)
+        for problem, name in ((both, "dial"), (hsr.problem, None))
+    )
+    assert found.p == alone.p
+    assert found.kept

@@ -127,6 +127,12 @@ def test_a_data_frame_reads_like_the_file(tmp_path):
     check_good(Samples.from_frame(frame, LAYOUT))
     with pytest.raises(SamplesError, match="line 2, column 'q2_mm'"):
         Samples.from_frame(frame.assign(q2_mm=[1.0, math.nan]), LAYOUT)
+    for missing in (math.nan, None, pd.NA):
+        for numbers in (frame, frame.astype({"q1_deg": object})):
+            with pytest.raises(SamplesError, match="the label is empty"):
+                Samples.from_frame(numbers.assign(plane=["floor", missing]), LAYOUT)
+    for numbers in (frame, frame.astype({"q1_deg": object})):  # a label that is a number is called as a file calls it
+        assert Samples.from_frame(numbers.assign(plane=[1.0, 2.5]), LAYOUT).labels["plane"].names == ("1", "2.5")
 
 
 def test_written_samples_read_back(tmp_path, hsr, corner_simulation):

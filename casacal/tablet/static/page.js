@@ -231,9 +231,9 @@ function showDecision(gate) {
   const reasons = [...(gate.reasons || []), ...(gate.mirror ? [gate.mirror] : [])].filter((each) => !(gate.words || "").includes(each));
   $("reasons").replaceChildren(...reasons.map((words) => el("li", words)));
   $("calibrate").hidden = gate.state === "ahead";
-  const there = state.files.includes("report.html"), old = $("report").dataset.words === gate.words;
+  const there = state.files.includes("report.html"), old = $("report").dataset.madeFrom === gate.made_from;
   if (there && gateShown() === "decide" && state.job === null && !old) {
-    $("report").dataset.words = gate.words;
+    $("report").dataset.madeFrom = gate.made_from;
     $("report").src = `/file/report.html?${state.version}`;
   }
   $("report").hidden = !there;
