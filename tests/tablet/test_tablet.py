@@ -603,9 +603,14 @@ def test_an_earlier_result_that_cannot_be_compared_leaves_the_new_arm_in_use(cal
 
     monkeypatch.setattr("casacal.changes.changed.changed", refuse)
     work.place = replace(work.place, since=before)
+    (work.place.folder / "verified.html").write_text("of the calibration before")
+    assert "verified.html" in document(work)["files"]
     work.do("calibrate", {"version": work.version})
     wait(work)
     assert work.arm is not before
+    assert "verified.html" not in document(work)["files"]
+    made_from = hashlib.sha256(work.place.samples.read_bytes()).hexdigest()
+    assert document(work)["gates"]["decide"]["made_from"] == made_from, "by which a window knows that the report is new"
     assert not work.failed["decide"]
     assert any("no column 'x'" in words for words in work.said["decide"])
     assert not work.outdated
