@@ -34,7 +34,7 @@ from casacal.uncertainty.figures import HALF_WEIGHT, residual_figures
 from casacal.uncertainty.identifiability import Identifiability, identifiability, known_from
 from casacal.uncertainty.moves import PriorMoves, prior_moves
 from casacal.uncertainty.noise import Noise, noise_over_stated
-from casacal.values import Array, FrozenMapping, Value
+from casacal.values import Array, Box, FrozenMapping, Value
 from casacal.wording import listed
 
 if TYPE_CHECKING:
@@ -373,8 +373,18 @@ class Calibration(Value):
 
     def _expected(self, *, flange: bool = False) -> tuple[float, float]:
         motion = self.motion
-        covariance = None if self.result.loss is None else motion.covariance
-        return tip_error.expected_accuracy(motion.arm, motion.x, motion.off, flange=flange, covariance=covariance)
+        return tip_error.expected_accuracy(motion.arm, motion.x, motion.off, flange=flange, covariance=self._robust)
+
+    @property
+    def _robust(self) -> Array | None:
+        """Covariance (s, s) of the moving unknowns under a loss; None where it is the posterior's."""
+        return None if self.result.loss is None else self.motion.covariance
+
+    def tip_std_in(self, box: Box) -> tuple[float, float]:
+        """Expected tip error inside a box, mm: RMS, and the largest; CasacalError where the arm hardly reaches it."""
+        motion = self.motion
+        inside, worst = tip_error.accuracy_in_box(motion.arm, motion.x, box, motion.off, self._robust)
+        return math.hypot(inside, self.tip_from_minimum), math.hypot(worst, self.tip_from_minimum)
 
     @cached_property
     def hidden_tool(self) -> HiddenTool | None:

@@ -169,10 +169,11 @@ def _wrong_number(bound: BoundProblem, alone: bool) -> list[Finding]:
     # square of a standard normal number where the prior is right; where all priors are too tight, or the noise is, all
     # of these grow
     gains = {}
-    for name, key, std, unit in priors_of(bound.problem):
+    for name, key, _, unit in priors_of(bound.problem):
         j = stated.names.index(name)
+        std, moved = float(stated.prior_std[j]), float(result.x[j] - stated.x0[j])
         learned = std**2 - result.covariance[j, j]
-        gains[name, key, unit] = float(result.x[j] ** 2 / learned) if learned > DULL * std**2 else 0.0
+        gains[name, key, unit] = float(moved**2 / learned) if learned > DULL * std**2 else 0.0
     total, others = sum(gains.values()), max(len(gains) - 1, 1)
     first = sorted(gains, key=lambda each: -gains[each])[:TRIED]
     for name, key, unit in first:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -28,7 +27,7 @@ from casacal.planning.clearance import Clearance
 from casacal.planning.offers import CalibratedCell
 from casacal.planning.scene import scene
 from casacal.simulation.cell import Cell
-from casacal.uncertainty.tip_error import accuracy_in_box, tip_stds, up_to_base, workspace_joints
+from casacal.uncertainty.tip_error import tip_stds, up_to_base, workspace_joints
 from casacal.values import Array, Box
 from casacal.wording import METRE, capital, numbered_lines, sized
 
@@ -185,9 +184,7 @@ def expected_error(each: Sequence[Touches], box: Box | None) -> dict[str, Any]:
         [f"Samples alone, without priors{unseen}", mm(alone) if alone < METRE else "unbounded", "–"],
     ]
     if box is not None:
-        motion = calibration.motion
-        inside, way = accuracy_in_box(motion.arm, motion.x, box, motion.off), calibration.tip_from_minimum
-        rms, most = (math.hypot(each, way) for each in inside)
+        rms, most = calibration.tip_std_in(box)
         ranges = ", ".join(f"{axis} {low:g} to {high:g}" for axis, (low, high) in zip("xyz", box, strict=True))
         rows.append([f"After, inside the box {ranges} mm", mm(rms), mm(most)])
     error = workspace_maps("error", "expected tip error, mm", workspace.error, workspace.tips, np.vstack(marks), box)

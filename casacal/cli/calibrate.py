@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import shlex
 import sys
 import time
@@ -140,14 +139,11 @@ def _report(calibration: Calibrated, source: ProblemFile, box: Box | None, optio
     """Print the answer in the requested form and write the files; returns 0 or 1."""
     from casacal.calibration.brief import MOST_LINES, brief, corrected_words
     from casacal.calibration.result_json import calibration_document
-    from casacal.uncertainty.tip_error import accuracy_in_box
 
     verdict, denied = calibration.verdict, calibration.denied
     expected, found = list[str](), dict[str, Any]()
     if box is not None and not denied:
-        motion = calibration.motion
-        way = calibration.unjudged.tip_from_minimum
-        error, worst = (math.hypot(each, way) for each in accuracy_in_box(motion.arm, motion.x, box, motion.off))
+        error, worst = calibration.unjudged.tip_std_in(box)
         expected = [f"Inside {options.box} mm: a tip error of {mm(error)} RMS, {mm(worst)} at worst."]
         found["box"] = {"range_mm": box, "expected_rms_mm": error, "worst_mm": worst}
     if source.assumed:

@@ -59,7 +59,7 @@ def in_cell(source: ProblemFile, options: argparse.Namespace, *, tilt: float | N
     table, cell = table_of(source, options), source.cell
     if cell is None:
         cell = default_cell(problem.measured_by(faced[0]), table=table) if faced else Disturbances(table=table)
-    if tilt is not None and not isinstance(cell, Cell):
+    if tilt is not None and not (isinstance(cell, Cell) and faced):
         what = f"--tilt is about faces, and {type(problem.instrument).__name__} touches none"
         raise CasacalError(what, "Leave it out")
     cell = replace(cell, table=table)

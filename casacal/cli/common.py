@@ -80,6 +80,15 @@ def of_instrument(source: ProblemFile, name: str | None) -> ProblemFile:
     return source if name is None else replace(source, problem=problem.measured_by(name))
 
 
+def columns_of_today(source: ProblemFile, session: str | None) -> list[str]:
+    """Label columns that no plan knows, such as the session's; CasacalError where --session is given and none is."""
+    found = [each for each in source.problem.layout().labels if each != source.problem.instrument.groups]
+    if session is not None and not found:
+        what = f"Got --session {session}, and {source.name} has no column that tells sessions apart"
+        raise CasacalError(what, "Leave it out, or give an unknown per='session' in the problem")
+    return found
+
+
 def add_readings(parser: argparse.ArgumentParser, words: str = "the readings, when SAMPLES has none") -> None:
     """Add the options that name what a table or a program without readings lacks."""
     add(parser, "--readings FILE", f"CSV or .xlsx with {words}, as a robot program")

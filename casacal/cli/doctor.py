@@ -87,6 +87,7 @@ def run(options: argparse.Namespace) -> int:
             "nearest": None if found.nearest is None else asdict(found.nearest),
             "odd_lines": found.odd_lines,
             "convention": found.convention,
+            "order": found.order,
             "slips": [asdict(slip) for slip in found.slips],
             "kept": None if kept is None else kept.as_posix(),
         }

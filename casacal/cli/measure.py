@@ -88,17 +88,14 @@ def _begun(
     from casacal.shopfloor.session import Session
 
     layout, labels = source.problem.layout(), dict[str, str]()
-    if options.session is not None and not set(layout.labels) - {source.problem.instrument.groups}:
-        what = f"Got --session {options.session}, and {source.name} has no column that tells sessions apart"
-        raise CasacalError(what, "Leave it out, or give an unknown per='session' in the problem")
+    today = common.columns_of_today(source, options.session)
     planned = read_route(options.plan, layout).samples.labels
-    for column in layout.labels:  # those of today, such as the session's, which no plan knows
-        if column != source.problem.instrument.groups:
-            said = options.session
-            if said is None:
-                prompt(f"{column} (Enter: {planned[column][0]}): ")
-                said = sys.stdin.readline().strip()
-            labels[column] = said
+    for column in today:
+        said = options.session
+        if said is None:
+            prompt(f"{column} (Enter: {planned[column][0]}): ")
+            said = sys.stdin.readline().strip()
+        labels[column] = said
     box, targets = cell.where(options, source)
     session = Session(
         source.problem,

@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
         raise CasacalError(f"--out '{folder}' is no folder", "Name a folder, or one that does not exist yet")
     if options.port > 65535:
         raise CasacalError(f"--port is {options.port}", "Give a number up to 65535")
-    columns = [each for each in source.problem.layout().labels if each != source.problem.instrument.groups]
+    columns = common.columns_of_today(source, options.session)
     workplace = Workplace(
         source,
         folder,
@@ -85,5 +85,5 @@ def run(options: argparse.Namespace) -> int:
         say_paragraphs(
             f"{address_of(options.host, port)}/?token={token}", f"Files go to {folder.as_posix()}; Ctrl-C ends"
         )
-        server(work, token, port).run(sockets=[place])
+        server(work, token, port, options.host).run(sockets=[place])
     return DONE

@@ -97,7 +97,7 @@ def _made(source: StudyFile, study: Study, out: Path, options: argparse.Namespac
         return runs.open_run(study, out, quick=options.quick)
     if options.merge:
         parts = [Path(part) for part in options.merge]
-        found = runs.merge(study, parts, out, quick=options.quick)
+        found = runs.merge(study, parts, out, quick=options.quick, resume=options.resume)
         note_machines(out, [made for part in parts for made in read_machines(part)])
         if runs.missing(study, found):
             complain(f"{runs.missing(study, found)} records are missing; --resume makes them")

@@ -32,7 +32,7 @@ HOMES: Mapping[str, str] = {
     "model.unknown": "Parameter",
     "model.geometry": "Direction Plane Frame",
     "model.constraint": "Constraint Correlation",
-    "model.instrument": "Probe ResidualBlock Trusted",
+    "model.instrument": "Probe ResidualBlock Trusted Words",
     "model.traced_instrument": "TracedInstrument",
     "model.dial": "DialOnPlane DialOnBody Step",
     "model.points": "TrackedPoint KnownPoint FixedPoint Sockets Distance SphereTouch SelfContact",

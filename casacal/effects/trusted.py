@@ -63,7 +63,10 @@ class TrustedConstants(Effect):
 
     def residual(self, here: Here) -> Expression | None:
         """Change of the residual where held unknowns stand elsewhere."""
-        shifted = {constant.shifts: u * constant.std for constant, u in self._errors(here) if constant.shifts}
+        shifted: dict[str, Expression] = {}
+        for constant, u in self._errors(here):
+            if constant.shifts:
+                shifted[constant.shifts] = shifted.get(constant.shifts, 0.0) + u * constant.std
         if not shifted:
             return None
         p = SimpleNamespace(**vars(here.p))

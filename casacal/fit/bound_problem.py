@@ -106,7 +106,7 @@ def bind(
         return bound
     values, _ = known.evaluate(bound.x0)
     for k in np.flatnonzero(~known.depends.any(axis=1) & ~((known.low <= values) & (values <= known.high))):
-        if abs(values[k] - known.low[k]) > 1e-9 * (1 + abs(values[k])):
+        if max(known.low[k] - values[k], values[k] - known.high[k]) > 1e-9 * (1 + abs(values[k])):
             ends = [f"{end:.6g}" for end in dict.fromkeys((known.low[k], known.high[k]))]
             what = f"'{known.names[k]}' is {values[k]:.6g} of unknowns that are held, and is to be {' to '.join(ends)}"
             raise ProblemError(what, "Free one of them, correct the drawing, or leave the constraint out")

@@ -207,10 +207,10 @@ class SymbolicProblem:
     def cubature_step(self, kind: RowKind) -> ca.Function:
         """One step of the square-root cubature Kalman filter for a row of a kind, eqs (15)-(24) as corrected.
 
-        (mean (n), root (n x n), d (nd), w (m)) -> mean, root: a belief over (x - x0) / start_std, at first 0 and the
-        identity. The residuals of the row are taken in one by one. A row that leaves less than 1e-10 of a variance
-        gives what is not a number: there the NumPy filter triangularises in full. Raises ProblemError for what is no
-        kind of row.
+        (mean (n), root (n x n), d (nd), w (m)) -> mean, root: a belief over (x - x0) / start_std, at first 0 and
+        `prior_root` of the bound problem: the identity where no priors belong together. The residuals of the row are
+        taken in one by one. A row that leaves less than 1e-10 of a variance gives what is not a number: there the NumPy
+        filter triangularises in full. Raises ProblemError for what is no kind of row.
         """
         if not isinstance(kind, RowKind):
             raise ProblemError(f"Got {came(kind)} as the kind of row", "Give one of `kinds`")

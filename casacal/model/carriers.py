@@ -11,7 +11,7 @@ import casadi as ca
 
 from casacal.errors import ProblemError, came
 from casacal.model.geometry import Direction
-from casacal.model.joints import Joint
+from casacal.model.joints import MOST_TURNED, Joint
 from casacal.model.kinematics import Expression, chain, position, rigid, rotation, screw, slide
 from casacal.model.robot import PoseFunction, Robot
 from casacal.model.unknown import PRIOR_STD, Parameter
@@ -19,7 +19,6 @@ from casacal.values import Names, is_real
 
 CARRIER = "carrier_"  # prefix of the carrier's parameters
 LEAST_TRAVEL, MOST_TRAVEL = 50.0, 1e6  # travel of a rail, mm: what is shorter was meant in metres
-MOST_TURNS = 10  # turns of a table from one limit to the other: more were meant in degrees
 SCALE = 0.1  # millimetres by which a metre of a rack or a spindle may well be long or short
 
 
@@ -98,8 +97,8 @@ def turntable(
     Raises ProblemError as `Robot` does.
 
     """
-    if not (is_real(lower) and is_real(upper) and 0 < upper - lower <= MOST_TURNS * 2 * math.pi):
-        fix = f"Give its limits in rad, such as *deg(-180, 180), at most {MOST_TURNS} turns apart"
+    if not (is_real(lower) and is_real(upper) and lower < upper and max(-lower, upper) <= MOST_TURNED):
+        fix = f"Give its limits in rad, such as *deg(-180, 180), within {MOST_TURNED / (2 * math.pi):g} turns of zero"
         raise ProblemError(f"A turntable goes from {lower!r} to {upper!r}", fix)
     parameters = {
         "axis": Direction(axis, prior_std=PRIOR_STD["rad"] if angle_std is None else angle_std),

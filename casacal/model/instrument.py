@@ -455,6 +455,9 @@ def _check_trusted(instrument: Instrument, what: str, constant: object) -> None:
         known = "is no unknown" if unknown is None else "is not held at a value"
         fix = "Name an unknown that is declared with free=False; what is free has its own prior"
         raise ProblemError(f"{what} shifts '{constant.shifts}', which {known}", fix)
+    if len(units := sorted(set(unknown.freed().units))) > 1:
+        what += f" shifts '{constant.shifts}' by one size in {' and '.join(units)}"
+        raise ProblemError(what, "Declare it free, with a prior for each of its numbers")
     if unknown.freed().size != constant.count:
         fix = f"Give count={unknown.freed().size}"
         raise ProblemError(f"{what} shifts {constant.count} numbers of '{constant.shifts}'", fix)

@@ -134,8 +134,10 @@ class Problem(Value):
 
     def measured_by(self, name: str) -> Problem:
         """A copy with one of its instruments, and what is known of the arm; UnknownNameError where it has none such."""
-        arms, only = set(self.robot.parameters), {name: self.instruments[self.number(name)]}
+        of_arm = self.robot.parameters.items()
+        arms = {each for key, unknown in of_arm for each in (key, *unknown.component_names(key))}
         kept = [each for each in self.constraints if arms.issuperset(each.names)]
+        only = {name: self.instruments[self.number(name)]}
         return Problem(self.robot, only, terms=self.terms, constraints=kept)
 
     def number(self, name: str) -> int:

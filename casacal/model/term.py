@@ -103,10 +103,11 @@ class Site:
 
     @cached_property
     def components(self) -> int:
-        """Components of the residual in the unit in which the instrument speaks; one where it cannot be built."""
+        """Components of the residual in the unit in which the instrument speaks, all where none is; one at least."""
         instrument = self.instrument
         if blocks := instrument.blocks:
-            return sum(block.size for block in blocks if block.unit == instrument.words.unit)
+            speaks = sum(block.size for block in blocks if block.unit == instrument.words.unit)
+            return speaks or sum(block.size for block in blocks)
         from casacal.model.traced_instrument import TracedInstrument
 
         try:

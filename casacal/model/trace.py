@@ -73,7 +73,10 @@ class Symbols(Value):
     def unknowns(self) -> Mapping[str, Unknown]:
         """Unknowns by key: the robot's, then the instrument's, then those of the terms."""
         found: dict[str, Unknown] = {**self.robot.parameters, **self.instrument.unknowns}
-        for _, unknowns in self.of_terms:
+        for term, unknowns in self.of_terms:
+            if twice := sorted(found.keys() & unknowns.keys()):
+                what = f"'{twice[0]}' is an unknown of '{term.words}', and one of '{self.robot.name}' or its instrument"
+                raise ProblemError(what, "Call that one something else, or calibrate without effects")
             found |= unknowns
         return FrozenMapping(found)
 
@@ -116,8 +119,13 @@ class Symbols(Value):
     @cached_property
     def columns(self) -> Mapping[str, ca.SX]:
         """The row's columns by name: those that are read, those known from labels, those that terms ask for."""
-        of_terms = (name for term in self.acting for name in term.columns(self.site))
-        names = dict.fromkeys((*self.instrument.columns, *self.instrument.known_columns, *of_terms))
+        own = dict.fromkeys((*self.instrument.columns, *self.instrument.known_columns))
+        of_terms = [(term, name) for term in self.acting for name in term.columns(self.site)]
+        for term, name in of_terms:
+            if name in own:
+                what = f"'{name}' is a column of the instrument, and what '{term.words}' calls one of its own"
+                raise ProblemError(what, "Call that column something else, or calibrate without effects")
+        names = own | dict.fromkeys(name for _, name in of_terms)
         return FrozenMapping({name: ca.SX.sym(name) for name in names})
 
     @property
@@ -147,7 +155,7 @@ class Symbols(Value):
         here = replace(here, pose=pose)
         units = [block.unit for block in instrument.blocks for _ in range(block.size)]
         places = [k for k, unit in enumerate(units) if unit == instrument.words.unit]
-        if len(units) != residual.numel():
+        if len(units) != residual.numel() or not places:
             places = list(range(residual.numel()))
         for term in self.acting:  # each adds to the components that have its unit, one for all or one for each
             found = traced(term.residual, "residual", term.words, None, here, optional=True)
@@ -388,7 +396,11 @@ def _counted(sizes: Mapping[str, int]) -> str:
 def _with_terms(here: Here, terms: Sequence[Term]) -> tuple[Expression, Names]:
     """Flange pose and row as they truly are, where joints, flange and readings err."""
     off = [traced(term.joints, "joints", term.words, None, here, optional=True) for term in terms]
-    moved = [each for each in off if each.numel() == len(here.robot.axes)]
+    for term, each in zip(terms, off, strict=True):
+        if each.numel() not in (0, len(here.robot.axes)):
+            what = f"joints of '{term.words}' has {each.numel()} numbers, and the arm {len(here.robot.axes)} joints"
+            raise ProblemError(what, "Give one for each joint")
+    moved = [each for each in off if each.numel()]
     if moved:
         q = here.q + sum(moved, ca.SX.zeros(len(here.robot.axes)))
         here = replace(here, pose=here.robot.flange(here.p, q))

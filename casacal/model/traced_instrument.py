@@ -15,9 +15,9 @@ from casacal.model.unknown import Unknown
 from casacal.values import Array, FrozenMapping, Names, frozen
 
 
-def _declared(name: str, before: Any = None) -> Any:
-    """A property as it was declared; in files from before it was, this."""
-    return property(lambda self: self.declared.get(name, before))
+def _declared(name: str) -> Any:
+    """A property as it was declared; in files from before it was kept, as instruments have it by default."""
+    return property(lambda self: self.declared[name] if name in self.declared else getattr(Instrument, name).fget(self))
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,13 +37,15 @@ class TracedInstrument(Instrument):
     unknowns = _declared("unknowns")
     known_columns = _declared("known_columns")
     known_by = _declared("known_by")
-    knows_every_label = _declared("knows_every_label", False)
+    knows_every_label = _declared("knows_every_label")
     datum = _declared("datum")
     column_stds = _declared("column_stds")
     residual_std = _declared("residual_std")
     probe = _declared("probe")
-    blocks = _declared("blocks", ())
-    trusted = _declared("trusted", FrozenMapping({}))
+    blocks = _declared("blocks")
+    trusted = _declared("trusted")
+    words = _declared("words")
+    groups = _declared("groups")
 
     @staticmethod
     def of(instrument: Instrument, parameters: Mapping[str, Unknown]) -> TracedInstrument:

@@ -91,6 +91,9 @@ class Choice:
                 j = bound.names.index(name)
                 covariance[j, j] += (std / units[j]) ** 2
             known = np.linalg.inv(covariance)
+        if (along := bound.tangent(x, ())) is not None:  # the only ways that equalities leave
+            along = along / units[:, None]
+            rows, known, field = rows @ along, along.T @ known @ along, field @ along
         return Choice(rows, np.asarray(known), field.T @ field / len(joints))
 
     @staticmethod

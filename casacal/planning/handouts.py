@@ -88,6 +88,9 @@ def approaches(
         for k in range(1, len(clear)):
             clear[k] = _raised(is_clear, levels, chosen, k)
     above = np.array([levels[level][k] for k, level in enumerate(chosen)])
+    if isinstance(still, Cell):  # an end may have been raised since its way was looked at
+        for k in np.flatnonzero(clear[1:]).tolist():
+            clear[k + 1] = is_clear(above[k], above[k + 1])
     via = np.full_like(above, np.nan)
     if isinstance(still, Cell):
         places = levels[-1][np.isfinite(levels[-1]).all(axis=1)]

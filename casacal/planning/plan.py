@@ -119,6 +119,8 @@ def plan(
     choice_at = partial(Choice.of, bound, wanted_joints(bound, box, targets), count=pool, loose=loose)
     choice = choice_at()
     checks, repeats = enough_to_verify(problem, reachable, round(check * touches)), round(again * touches)
+    if touches - checks - repeats < LEAST_FITTED:
+        checks = round(check * touches)
     rng = np.random.default_rng([seed, 1])
     best, few = _enough_of_each(problem, reachable, choice, touches - checks - repeats, starts, rng, criterion)
     twice = best[np.linspace(0, len(best) - 1, repeats).astype(int)] if repeats else best[:0]
@@ -256,15 +258,18 @@ def bound_pool(
     return bound
 
 
+LEAST_FITTED = 3
+
+
 def _refuse(touches: int, pool: int, starts: int, again: float, check: float) -> None:
     """Raise CasacalError for numbers that make no plan."""
-    for what, value, least in (("touches", touches, 3), ("pool", pool, touches), ("starts", starts, 1)):
+    for what, value, least in (("touches", touches, LEAST_FITTED), ("pool", pool, touches), ("starts", starts, 1)):
         if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < least:
             raise CasacalError(f"Got {as_given(value)} as the {what}", f"Give a whole number from {least} on")
     for what, part in (("again", again), ("check", check)):
         if not (is_real(part) and 0 <= part < 1):
             raise CasacalError(f"Got {as_given(part)} as the part '{what}'", "Give a number from 0 to below 1")
-    if touches - round(check * touches) - round(again * touches) < 3:
+    if touches - round(check * touches) - round(again * touches) < LEAST_FITTED:
         raise CasacalError(f"Fewer than three of {touches} touches are fitted", "Ask for more, or check fewer")
 
 

@@ -86,6 +86,15 @@ def read_route(path: str | Path, layout: Layout) -> Route:
     return Route(replace(read, columns=readings, extra={}), purposes)
 
 
+def renumbered(path: str | Path) -> bool:
+    """Whether rows of a plan were left out, moved or added since it was written, by its column of numbers."""
+    columns = read_columns(path)
+    if "touch" not in columns.header:
+        return False
+    numbers = columns.text("touch")
+    return [numbers.names[code] for code in numbers.codes] != [str(k) for k in range(1, len(numbers) + 1)]
+
+
 def refuse_plan_of_another(path: str | Path, name: str, table: float) -> None:
     """Raise CasacalError for a plan whose first lines say that it was made for another problem, or on another table."""
     first, second, *_ = [*Path(path).read_text(encoding="utf-8", errors="replace").split("\n", 2), ""]

@@ -64,7 +64,7 @@ def set_ups(
     clearance, seed: as for `plan`. Raises CasacalError for an instrument that touches no faces.
     """
     still = cell_of(problem, cell)
-    if not isinstance(still, Cell):
+    if not isinstance(still, Cell) or problem.instrument.probe is None:
         what = f"{type(problem.instrument).__name__} touches no faces, so there are no set-ups of them"
         raise CasacalError(what, "Plan without comparing set-ups")
     if not 3 <= touches <= POOL:
@@ -155,7 +155,8 @@ def _ways(problem: Problem, cell: Cell) -> Iterator[tuple[str, str, Problem, Cel
             walls = [rising(first, first.axes[k], fresh(label, (first,))) for k, label in ((1, "wall"), (2, "side"))]
             three = replace(cell, faces=(first, *walls))
             yield "three faces at right angles", _plates(three.faces), labelled, three
-        if (blocked := with_block(problem, cell, STEP)) is not None:
+        there = any(face.label.startswith("block") for face in cell.faces)
+        if not there and (blocked := with_block(problem, cell, STEP)) is not None:
             yield f"as it is, and a gauge block of {STEP:g} mm on '{first.label}'", f"--block={STEP:g}", *blocked
     for other in TILTS:
         if abs(other - tilt) > 1:

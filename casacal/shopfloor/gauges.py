@@ -82,7 +82,10 @@ class Gauge:
         if unit not in units:
             fix = "Give it without a unit" if kind == "number" else f"Give it in {listed(list(units), 'or')}"
             raise CasacalError(f"{text!r} is in {unit}, which is no unit of this reading", fix)
-        value = float(re.sub(r"\s", "", found["value"]).replace(",", ".")) * units[unit]
+        try:
+            value = float(re.sub(r"\s", "", found["value"]).replace(",", ".")) * units[unit]
+        except (TypeError, ValueError):  # a pattern of one's own lets through what is no number
+            raise CasacalError(f"{text!r} holds no number", "Look at --pattern, or send it again") from None
         if not math.isfinite(value):
             raise CasacalError(f"{text!r} is not a finite reading", "Send it again")
         return value

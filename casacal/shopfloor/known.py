@@ -343,13 +343,13 @@ def _fitted(bound: BoundProblem) -> Belief:
 
 def _noise_over_stated(bound: BoundProblem, belief: Belief) -> float:
     """The factor of the stated noise at which the rows are likeliest; one where that is no telling difference."""
-    # marginal likelihood of rows r + J y, y ~ N(-mean, I), for which J = U S V' makes each factor cheap
-    x = bound.x0 + bound.start_std * belief.mean
-    r, slopes = bound.residual(x), bound.jacobian(x) * bound.start_std
+    # marginal likelihood of rows r + J R y, y ~ N(-mean, I), R the prior's root: J R = U S V' makes each factor cheap
+    x, root = bound.x0 + bound.start_std * belief.mean, bound.prior_root
+    r, slopes = bound.residual(x), bound.jacobian(x) * bound.start_std @ root
     _, sizes, right = svd(slopes, full=True)
     squares = np.zeros(belief.mean.size)
     squares[: sizes.size] = sizes**2
-    pull, prior = right @ slopes.T @ r, right @ belief.mean
+    pull, prior = right @ slopes.T @ r, right @ np.linalg.solve(root, belief.mean)
 
     def likelihood(factor: float) -> float:
         information, toward = 1 + squares / factor**2, pull / factor**2 + prior
@@ -435,30 +435,37 @@ class ShiftedBelief:
 
 @dataclass(frozen=True, eq=False)
 class LinearRows:
-    """Rows linear about a belief, in its units: residuals (touches, m), slopes (touches, m, n), whitened; noise, mm."""
+    """Rows linear about a belief, in its units: residuals (touches, m), slopes (touches, m, n), whitened; noise, mm.
+
+    prior: information (n, n) before any touch.
+    """
 
     residual: Array
     slope: Array
     noise: Array
+    prior: Array
 
     @staticmethod
     def of(known: Known, touches: Sequence[Touch] | Samples) -> LinearRows:
         """Linearise touches about the mean of a belief."""
         samples = touches if isinstance(touches, Samples) else rows_of(touches)
         bound, x = known.bound.on(samples), known.x
-        return LinearRows(bound.residual(x).reshape(len(samples), -1), row_slopes(bound, x), bound.block.noise)
+        white = np.linalg.inv(bound.prior_root)
+        residual, slopes = bound.residual(x).reshape(len(samples), -1), row_slopes(bound, x)
+        return LinearRows(residual, slopes, bound.block.noise, white.T @ white)
 
     def without(self, k: int) -> LinearRows:
         """All rows but one."""
-        return LinearRows(*(np.delete(part, k, axis=0) for part in (self.residual, self.slope, self.noise)))
+        residual, slope, noise = (np.delete(part, k, axis=0) for part in (self.residual, self.slope, self.noise))
+        return LinearRows(residual, slope, noise, self.prior)
 
     def posterior(self, mean: Array) -> ShiftedBelief:
-        """Posterior of the shift, with a unit prior about -mean."""
-        r, j = self.residual.ravel(), self.slope.reshape(-1, mean.size)
-        information, gradient = np.eye(mean.size) + j.T @ j, j.T @ r + mean
+        """Posterior of the shift, with the prior about -mean."""
+        r, j, pull = self.residual.ravel(), self.slope.reshape(-1, mean.size), self.prior @ mean
+        information, gradient = self.prior + j.T @ j, j.T @ r + pull
         covariance: Array = np.asarray(np.linalg.inv(information), dtype=np.float64)
         shift = -covariance @ gradient
-        chi_square = r @ r + mean @ mean + gradient @ shift
+        chi_square = r @ r + mean @ pull + gradient @ shift
         return ShiftedBelief(shift, covariance, -float(chi_square + np.linalg.slogdet(information)[1]) / 2)
 
     def off(self, belief: ShiftedBelief, k: int) -> tuple[Array, Array]:
@@ -533,7 +540,7 @@ class Pool(Value):
     def needed(self, known: Known, field: Array, tolerance: float) -> int | None:
         """How many more touches, each the best of its time, bring the error below a tolerance; None over `MOST`."""
         covariance = known.covariance
-        for count in range(MOST + 1):
+        for count in range(MOST + 1 if len(self.slopes) else 0):
             if error_below(spectrum(covariance_root(covariance), field)) <= tolerance:
                 return count
             slope = self.slopes[self.most_telling(covariance, field)]

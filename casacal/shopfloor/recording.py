@@ -11,10 +11,11 @@ import numpy as np
 
 from casacal.data.columns import Labels
 from casacal.data.samples import WRITTEN
-from casacal.errors import CasacalError, SamplesError
+from casacal.errors import CasacalError, SamplesError, SimulationError
 from casacal.model.problem_file import ProblemFile
+from casacal.planning.choice import wanted_joints
 from casacal.planning.clearance import Clearance, hindered
-from casacal.planning.route import Route, read_route, refuse_plan_of_another
+from casacal.planning.route import Route, read_route, refuse_plan_of_another, renumbered
 from casacal.shopfloor.conversation import Answer, answered, command_of, out_of_travel, repeats_last, touch_of
 from casacal.shopfloor.gauges import Gauge
 from casacal.shopfloor.session import Session
@@ -80,7 +81,10 @@ class Recording:
             said = f"The gauge sent {line.strip()}, the reading of the last touch again. Was it read here? y takes it; "
             return Answer(self.session, (f"{said}otherwise send another",))
         self.doubled = None
-        proposed = None if self.session.alarm is not None else self.proposed
+        try:
+            proposed = None if self.session.alarm is not None else self.proposed
+        except SimulationError:  # nothing can be proposed; commands, and joint values with a reading, can be entered
+            proposed = None
         if not line.strip() and (self.file.layout.columns or self.session.alarm is not None or proposed is None):
             return Answer(self.session, ())
         try:
@@ -149,11 +153,18 @@ def begun(
     route = with_labels(read_route(plan, layout), labels or {})
     begin = Session(source.problem, cell=source.cell) if session is None else session
     begin = replace(begin, plan=route)
+    if begin.known is not None:  # a box out of reach is said before anybody touches
+        wanted_joints(begin.known.bound, begin.box, begin.targets)
     file = TouchFile(Path(out), layout, plan_mark(source, plan))
     file.refuse_others()
     refuse_plan_of_another(plan, source.name, table)
     touches, skipped, cut = file.read()
     said = ["The last line of the file was cut off; make that touch again"] if cut else []
+    if renumbered(plan):
+        what = (
+            f"Rows of {Path(plan).name} were left out, moved or added: its touches are numbered as they stand there now"
+        )
+        said.append(f"{what}. A sheet or a program of the whole plan has other numbers")
     if unknown := [touch.number for touch in touches if (touch.number or 0) > len(route)]:
         what = f"touch {unknown[0]} is none of the plan, which has 1 to {len(route)}"
         raise SamplesError(Path(out).as_posix(), what, "Restore it, or write - where a touch is beyond the plan")

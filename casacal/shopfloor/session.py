@@ -26,6 +26,7 @@ from casacal.shopfloor.known import (
     Suspected,
     chance_of,
     counts,
+    covered,
     error_below,
     innovations_at,
     known_before,
@@ -131,7 +132,8 @@ class Session(Value):
             k = len(self) - 1 if self.alarm is None else self.alarm.touch
         if not 0 <= k < len(self):
             raise CasacalError(f"There is no touch {k}", f"Give 0 to {len(self) - 1}")
-        return self._after((*self.touches[:k], *self.touches[k + 1 :]))
+        in_doubt = self.alarm is not None and self.alarm.raised_by == len(self) - 1 != k
+        return self._after((*self.touches[:k], *self.touches[k + 1 :]), new=in_doubt)
 
     def keep(self) -> Session:
         """Say that the touch in doubt is right as it is."""
@@ -157,7 +159,8 @@ class Session(Value):
     def _further(self) -> int:
         """The touch beyond the plan that tells most of those that nobody declined; SimulationError where all were."""
         known, field, all_of_them = self.state.known, self.field, self._setting.further
-        left = np.setdiff1d(np.arange(len(all_of_them)), list(self.declined))
+        there = np.zeros(0) if known is None else np.flatnonzero(covered(known.bound, all_of_them))
+        left = np.setdiff1d(there, list(self.declined)).astype(int)
         if known is None or field is None or not left.size:
             raise SimulationError("No further touch can be proposed", "Enter joint values and reading of your own")
         return int(left[Pool.of(known, all_of_them.take(left)).most_telling(known.covariance, field)])

@@ -219,12 +219,13 @@ def touched_rows(
     if postures is None:
         said = unwaved(arm.waves, joints - sag - scatter[plan.first] + lag[plan.first])[plan.place]
     standing = waved(arm.waves, said) + sag[plan.place] + scatter - lag
+    moved = np.zeros_like(said)
     if postures is not None:
         moved, ways_in, met = contact.there(standing, ways_in)
-        said = said + moved
     elif plan.again.any():
         moved, ways_in = contact.again(joints, readings, standing)
-        said = said + moved
+    if moved.any():  # by as much the joints themselves move
+        said = unwaved(arm.waves, waved(arm.waves, said) + moved)
     columns, dial = dict[str, Array](), DialErrors.drawn(cell, dial_rng)
     if probe.column is not None:
         shown = dial.shown(ways_in, -probe.sign * pushed, plan.when) + noise_rng.normal(size=count) * noise + outlier
@@ -284,7 +285,7 @@ def fitting_rows(
     else:
         standing = waved(arm.waves, postures.joints) + scatter - last_moves(postures.joints) * cell.backlash / 2
         free, met = read_there(bench, standing, target)
-        said = postures.joints + free[:, :n] - standing
+        said = unwaved(arm.waves, waved(arm.waves, postures.joints) + free[:, :n] - standing)
     recorded = rounded(said, cell.encoder_step)
     columns, read = {}, instrument.as_read(dict(zip(instrument.columns, free[:, n:].T, strict=True)))
     for name, dimension in instrument.columns.items():

@@ -384,18 +384,19 @@ def open_run(study: Study, out: Path, *, quick: bool = False) -> Run:
     return Run(study, tuple(found), out, quick)
 
 
-def merge(study: Study, parts: Sequence[Path], out: Path, *, quick: bool = False) -> Run:
-    """Put the records of several folders together in `out`, in the study's order.
+def merge(study: Study, parts: Sequence[Path], out: Path, *, quick: bool = False, resume: bool = False) -> Run:
+    """Put the records of several folders together in `out`, in the study's order; with those of `out` to `resume`.
 
-    Raises StudyError when a folder has none, when two disagree, or when `out` has records already.
+    Raises StudyError when a folder has none, when two disagree, or when `out` has records already, unless to resume.
     """
     for part in parts:
         if not (part / RECORDS).is_file():
             raise StudyError(f"'{part}' holds no records", "Name folders that `casacal study` wrote")
     everything = tasks_of(study)
     with appending(out / RECORDS) as appender:
-        _kept(study, out, everything, read_records(out / RECORDS), False)
-        found = merged([read_records(part / RECORDS) for part in parts])
+        there = read_records(out / RECORDS)
+        _kept(study, out, everything, there, resume)
+        found = merged([there, *(read_records(part / RECORDS) for part in parts)])
         _kept(study, out, everything, found, True)
         ordered = _ordered(everything, found)
         appender.rewrite(ordered)

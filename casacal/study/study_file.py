@@ -53,8 +53,9 @@ def load_study(path: str | Path) -> StudyFile:
     quick = values.get("quick", study)
     if not callable(report) or not all(form is None or isinstance(form, Study) for form in (study, quick)):
         raise StudyError(f"'{path}' defines no report(run), or its study is no Study", "See casacal.study.study_file")
-    parts, _ = _dotted(file.resolve())  # as they are named from the folder of its package, or its own
-    commands = (f"casacal study {'/'.join(parts)}.py", f"python -m {'.'.join(parts)}")[: len(parts)]
+    parts, _ = _dotted(file.resolve())  # as they are named from the folder of its package, or from here
+    named = file.as_posix() if len(parts) == 1 and not file.is_absolute() else f"{'/'.join(parts)}.py"
+    commands = (f"casacal study {named}", f"python -m {'.'.join(parts)}")[: len(parts)]
     return StudyFile(file.stem, commands, file.as_posix(), study, quick, report, values.get("skipped"))
 
 

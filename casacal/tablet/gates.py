@@ -77,7 +77,7 @@ def files(work: Work) -> dict[str, Any]:
         "plan.csv": place.plan_file,
         "sheet.html": place.folder / "sheet.html",
         "samples.csv": place.samples,
-        "samples_check.csv": place.samples.with_name("samples_check.csv"),
+        "samples_check.csv": place.check,
         "report.html": place.fit / "report.html",
         "result.json": place.fit / "result.json",
         "parameters.csv": place.fit / "parameters.csv",
@@ -165,7 +165,7 @@ def _measure(work: Work) -> dict[str, Any]:
     found |= _next(work, recording)
     over = found["next"] is None and session.alarm is None
     found["ended"] = list(map(for_page, ended(session))) if over else []
-    still = counted(max(planned - left, 0), "planned touch")
+    still = counted(max(planned - left - len(found["skipped"]), 0), "planned touch")
     missing = "" if over else f"{still}: what is not touched is not known"
     return found | {"state": PASSED if over else OPEN, "missing": missing}
 
@@ -232,8 +232,10 @@ def _arm(work: Work, touch: Touch) -> dict[str, Any]:
 
 
 def _decide(work: Work) -> dict[str, Any]:
-    made = () if work.recording is None else [each for each in work.recording.session.touches if each.purpose != CHECK]
-    least = touches_needed(work.source.problem, rows_of(made)) if made else 1
+    session = None if work.recording is None else work.recording.session
+    made = () if session is None else [each for each in session.touches if each.purpose != CHECK]
+    rows = rows_of(made) if made else None if session is None or session.plan is None else session.plan.samples
+    least = 1 if rows is None else touches_needed(work.source.problem, rows)
     if len(made) < least:
         missing = f"Touches: {least} that are fitted, {len(made)} so far. The calibration is made from them"
         return {"state": AHEAD, "missing": missing}

@@ -64,8 +64,8 @@ HEADERS = {
 class Door:
     """Lets in who has the token, by its cookie or once in the address, and came to this machine by its own name."""
 
-    def __init__(self, app: ASGIApp, token: str, cookie: str) -> None:
-        self.app, self.token, self.cookie = app, token, cookie
+    def __init__(self, app: ASGIApp, token: str, cookie: str, host: str = "") -> None:
+        self.app, self.token, self.cookie, self.host = app, token, cookie, host
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request, or hand it on to the page."""
@@ -90,7 +90,7 @@ class Door:
 
     def _refused(self, request: Request) -> Response | None:
         """An answer to who is not let in, and the way on for who has just shown the token; None for others."""
-        if not is_this_machine(request.headers.get("host", "")):
+        if not is_this_machine(request.headers.get("host", ""), self.host):
             return PlainTextResponse("This page is reached by the address that casacal serve printed.\n", 421)
         shown = request.query_params.get("token")
         if shown is not None and request.url.path == "/" and request.method == "GET":
@@ -107,11 +107,11 @@ class Door:
         return None
 
 
-def is_this_machine(host: str) -> bool:
-    """Whether a Host header names this machine: an address in numbers, localhost, or the machine's own name."""
+def is_this_machine(host: str, called: str = "") -> bool:
+    """Whether a Host header names this machine: an address in numbers, localhost, its own name, or that `called`."""
     name = host.rpartition("]")[0].removeprefix("[") if host.startswith("[") else host.partition(":")[0]
     own = socket.gethostname().lower()
-    if name.lower() in ("localhost", own, f"{own}.local"):
+    if name and name.lower() in ("localhost", own, f"{own}.local", called.lower()):
         return True
     try:
         ip_address(name)
@@ -207,8 +207,11 @@ class Pages:
         return StreamingResponse(changes(), media_type="text/event-stream")
 
 
-def application(work: Work, *, token: str, cookie: str = "casacal") -> ASGIApp:
-    """The page of some work, as an ASGI application; token: what opens it, cookie: the name under which it is kept."""
+def application(work: Work, *, token: str, cookie: str = "casacal", host: str = "") -> ASGIApp:
+    """The page of some work, as an ASGI application.
+
+    token: what opens it. cookie: the name under which it is kept. host: by which name this machine is reached, too.
+    """
     pages = Pages(work)
     routes = [
         Route("/", pages.page),
@@ -220,7 +223,7 @@ def application(work: Work, *, token: str, cookie: str = "casacal") -> ASGIApp:
         Route("/events", pages.events),
         Route("/step", pages.step, methods=["POST"]),
     ]
-    return Door(Starlette(routes=routes, exception_handlers={Exception: pages.fell}), token, cookie)
+    return Door(Starlette(routes=routes, exception_handlers={Exception: pages.fell}), token, cookie, host)
 
 
 def answer(status: int, words: str) -> Response:
@@ -281,8 +284,8 @@ def token_of(folder: Path) -> str:
     return token
 
 
-def server(work: Work, token: str, port: int) -> uvicorn.Server:
-    """A server of the page, to be run on a socket of `listening`."""
-    app = application(work, token=token, cookie=f"casacal_{port}")
+def server(work: Work, token: str, port: int, host: str = "") -> uvicorn.Server:
+    """A server of the page, to be run on a socket of `listening`; `host` as for `application`."""
+    app = application(work, token=token, cookie=f"casacal_{port}", host=host)
     settings: Mapping[str, Any] = {"log_level": "critical", "timeout_graceful_shutdown": 1, "server_header": False}
     return uvicorn.Server(uvicorn.Config(app, **settings))

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
+from casacal.data.samples import Samples
 from casacal.deployment.arm import FRAMES, CalibratedArm
 from casacal.deployment.result_file import read_result, same_code
 from casacal.errors import CasacalError, RefusedResultError, refuse_unknown
@@ -81,8 +82,13 @@ class Workplace:
 
     @property
     def samples(self) -> Path:
-        """Touches to fit; those kept to verify stand in `samples_check.csv`."""
+        """Touches to fit."""
         return self.folder / "samples.csv"
+
+    @property
+    def check(self) -> Path:
+        """Touches kept to verify."""
+        return self.folder / "samples_check.csv"
 
     @property
     def fit(self) -> Path:
@@ -105,7 +111,8 @@ class Work:
         self.recording: Recording | None = None
         self.arm: CalibratedArm | None = None
         self.errors: list[tuple[int, float]] = []  # expected tip error by number of touches
-        self.verified: Verification | None = None
+        self._verified: tuple[Verification, Samples] | None = None  # and the touches that it is of
+        self._fitted: Samples | None = None  # touches of the calibration that was made here
         self._scene: dict[str, Any] | None = None
         self.line, self._inbox = line, None if line is None else Inbox()
         self.trouble = ""  # what is wrong with the files of the session, in sentences
@@ -125,9 +132,24 @@ class Work:
     def outdated(self) -> bool:
         """Whether touches are others than those that the calibration was made from."""
         with suppress(OSError):
-            made = hashlib.sha256(self.place.samples.read_bytes()).hexdigest()
-            return self.arm is not None and self.arm.found.data.sha256 != made
+            now = hashlib.sha256(self.place.samples.read_bytes()).hexdigest()
+            other = self.arm is not None and self.arm.found.data.sha256 != now
+            return other and (self._fitted is None or self._fitted != self._rows(self.place.samples))
         return False
+
+    def _rows(self, path: Path) -> Samples | None:
+        """Touches of a file without what is noted beside them, such as which were left out; None where it has none."""
+        with suppress(CasacalError):
+            return replace(self.source.problem.read(path), lines=(), extra={}, file="", sha256="")
+        return None
+
+    @property
+    def verified(self) -> Verification | None:
+        """The verification of the calibration, by the touches as they are; None where they are others since."""
+        if self._verified is not None and self._verified[1] != self._rows(self.place.check):
+            self._verified = None
+            self.said.pop("verify", None)
+        return None if self._verified is None else self._verified[0]
 
     @property
     def edited(self) -> str:
@@ -219,7 +241,7 @@ class Work:
     def _stamps(self) -> tuple[tuple[int, ...], ...]:
         """How plan and touches look from outside, by which changes are noticed."""
         samples = self.place.samples
-        return tuple(map(stamp, (self.place.plan_file, samples, samples.with_name("samples_check.csv"))))
+        return tuple(map(stamp, (self.place.plan_file, samples, self.place.check)))
 
     def space(self) -> dict[str, Any]:
         """The cell and the planned postures in space, as `casacal.planning.scene` has them; {} before a plan."""
@@ -418,11 +440,11 @@ class Work:
             from casacal.calibration.brief import brief
             from casacal.calibration.calibrate import calibrate
 
-            samples = self.source.problem.read(self.place.samples)
+            samples, fitted = self.source.problem.read(self.place.samples), self._rows(self.place.samples)
             found = calibrate(self.source, samples)
             found.save(self.place.fit)
             with self.lock:
-                self.arm, self.verified = read_result(self.place.fit), None
+                self.arm, self._verified, self._fitted = read_result(self.place.fit), None, fitted
                 self.said.pop("verify", None)
             told = (found.verdict.words, *found.verdict.reasons, found.arm.mirror_words)
             lines = brief(found, found.verdict, out=self.place.fit.as_posix(), width=10_000).split("\n")
@@ -443,17 +465,18 @@ class Work:
         tolerance = number_of(asked, "tolerance", 0, 1000)
         if self.arm is None or self.recording is None:
             raise CasacalError("There is no calibration yet", "Calibrate first")
-        if not self.recording.file.check_path.is_file():
+        if not self.place.check.is_file():
             raise CasacalError("No touch kept to verify has been made", "Go on with the plan: some of it is kept")
-        arm, check = self.arm, self.recording.file.check_path
+        arm, check = self.arm, self.place.check
 
         def run() -> None:
             from casacal.verification.verification import verify
 
-            found = verify(arm, self.source.problem.read(check), tolerance=tolerance)
+            rows, fresh = self._rows(check), self.source.problem.read(check)
+            found = verify(arm, fresh, tolerance=tolerance)
             write_text(self.place.folder / "verified.html", found.page(), own=True)
             with self.lock:
-                self.verified = found
+                self._verified = None if rows is None else (found, rows)
             self.changed("verify", found.summary(whole=False).split("\n"))
 
         return self._run("verify", "verifying", run)

@@ -10,6 +10,7 @@ from scipy.special import stdtr
 
 from casacal.fit.arm_alone import ArmAlone, ArmProblem
 from casacal.fit.bound_problem import BoundProblem
+from casacal.linalg import whitening_of
 from casacal.uncertainty.figures import chance_beyond
 from casacal.uncertainty.tip_error import scale_direction
 from casacal.values import Array, Index
@@ -39,10 +40,11 @@ def chance_of_move(bound: ArmProblem, x: Array, covariance: Array, own: Index) -
 
     What the samples do not see has not moved and does not count. One where a prior is flat.
     """
-    prior, spread = bound.prior_std[own], covariance[np.ix_(own, own)]
-    if not own.size or not np.isfinite(prior).all() or not np.isfinite(spread).all():
+    spread = covariance[np.ix_(own, own)]
+    if not own.size or not np.isfinite(bound.prior_std[own]).all() or not np.isfinite(spread).all():
         return 1.0
-    gained, moved = np.eye(own.size) - spread / np.outer(prior, prior), (x - bound.x0)[own] / prior
+    white = whitening_of(bound.prior_covariance[np.ix_(own, own)])
+    gained, moved = np.eye(own.size) - white @ spread @ white.T, white @ (x - bound.x0)[own]
     values, along = np.linalg.eigh(gained)
     decided = values > DULL
     if not decided.any():
@@ -57,11 +59,11 @@ def prior_moves(bound: ArmProblem, x: Array, covariance: Array) -> PriorMoves:
     (Satterthwaite). covariance: (n, n), of the estimate x (n,).
     """
     own = np.flatnonzero(np.isfinite(bound.prior_std) & ~bound.datum)
-    std, spread = bound.prior_std[own], covariance[np.ix_(own, own)]
+    white, spread = whitening_of(bound.prior_covariance[np.ix_(own, own)]), covariance[np.ix_(own, own)]
     if not np.isfinite(spread).all():  # an unbounded unknown drags others along
         return PriorMoves(0.0, 0.0, 1.0)
-    weights = np.clip(np.linalg.eigvalsh(np.eye(own.size) - spread / np.outer(std, std)), 0.0, 1.0)
-    total, decided = float((((x - bound.x0)[own] / std) ** 2).sum()), float(weights.sum())
+    weights = np.clip(np.linalg.eigvalsh(np.eye(own.size) - white @ spread @ white.T), 0.0, 1.0)
+    total, decided = float(((white @ (x - bound.x0)[own]) ** 2).sum()), float(weights.sum())
     if decided <= 0:
         return PriorMoves(0.0, 0.0, 1.0)
     freedom = decided**2 / float((weights**2).sum())
@@ -124,9 +126,10 @@ def prior_scatter(bound: BoundProblem, *, flat_counts: bool = False) -> PriorSca
         if not flat_counts and slot.key not in bound.problem.robot.parameters:
             stds = np.where(np.isin(np.arange(len(stds)), slot.columns), np.inf, stds)
     arm = ~stands & np.isfinite(stds)
-    moved, planes = slopes[:, arm] * stds[arm], slopes[:, stands]
+    root = bound.prior_root[arm] * bound.start_std[arm, None]
+    moved, planes = slopes[:, arm] @ np.linalg.cholesky(root @ root.T), slopes[:, stands]
     left = moved - planes @ np.linalg.lstsq(planes, moved, rcond=None)[0]
-    powers = left.T @ left / len(noise)  # the mean square residual as a quadratic form of independent prior errors
+    powers = left.T @ left / len(noise)  # the mean square residual as a quadratic form of independent errors
     if not np.isfinite(powers).all():  # a residual that is none at the drawn arm: nothing is known of it
         return PriorScatter(np.array([math.nan]), np.ones(1))
     own = np.clip(np.linalg.eigvalsh(powers), 0.0, None)
@@ -158,16 +161,16 @@ def common_scale(bound: ArmProblem, x: Array, covariance: Array) -> CommonScale 
     its lengths move together where its angles and offsets do not. A dial whose gain is declared has that in B.
     """
     own = np.flatnonzero(np.isfinite(bound.prior_std) & ~bound.datum)
-    std = bound.prior_std[own]
-    spread = covariance[np.ix_(own, own)] / np.outer(std, std)
+    white = whitening_of(bound.prior_covariance[np.ix_(own, own)])
+    spread = white @ covariance[np.ix_(own, own)] @ white.T
     grown = scale_direction(bound.whole)[bound.free] if isinstance(bound, ArmAlone) else scale_direction(bound)
-    growth = grown[own] / std
+    growth = white @ grown[own]
     if not (np.isfinite(spread).all() and np.isfinite(x[own]).all() and growth.any()):
         return None
     left, along = np.linalg.eigh(spread)
     decided = left < 1 - DULL
     left, along = np.clip(left[decided], ROUNDING, None), along[:, decided]
-    moved, towards = (x - bound.x0)[own] / std, along.T @ growth
+    moved, towards = white @ (x - bound.x0)[own], along.T @ growth
     if len(left) < FEWEST or float(np.linalg.norm(towards)) < ROUNDING:
         return None
     said = along.T @ moved / (1 - left)
@@ -189,5 +192,5 @@ def common_scale(bound: ArmProblem, x: Array, covariance: Array) -> CommonScale 
     allowed = np.where(arm, RANGE[best] ** 2, 1.0)
     rest = allowed * (along @ np.linalg.solve(fixed + RANGE[best] ** 2 * free, said - part * towards))
     off = np.zeros(bound.unknowns)
-    off[own] = (moved - rest) * std
+    off[own] = np.linalg.solve(white, moved - rest)
     return CommonScale(part, 2 * float(stdtr(freedom, -student)), off)

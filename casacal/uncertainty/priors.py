@@ -133,7 +133,7 @@ def learned_priors(calibrations: Iterable[CalibrationFit]) -> LearnedPriors:
 
     def unlikely(logs: Array) -> float:
         times = dict(zip(units, np.exp(logs), strict=True))
-        return -sum(evidence(arm.rows, np.diag(arm.scaled(times))) for arm in arms)
+        return -sum(evidence(arm.rows, arm.scaled(times)) for arm in arms)
 
     best = np.zeros(len(units))
     for _ in range(ROUNDS):
@@ -152,7 +152,7 @@ def learned_priors(calibrations: Iterable[CalibrationFit]) -> LearnedPriors:
 
 @dataclass(frozen=True)
 class _Arm:
-    """One arm's normal equations at its fit, prior information (n,), and its unknowns by unit."""
+    """One arm's normal equations at its fit, prior information (n, n), and its unknowns by unit."""
 
     fit: BoundProblem
     rows: NormalEquations
@@ -162,25 +162,24 @@ class _Arm:
     @staticmethod
     def of(fit: BoundProblem, x: Array) -> _Arm:
         keys = set(fit.problem.robot.parameters)
-        held = np.diagonal(fit.prior_information)
+        held = fit.prior_information
         found: dict[str, list[int]] = {}
         for j in (j for slot in fit.slots if slot.key in keys for j in slot.columns):
-            if held[j] > 0:
+            if held[j, j] > 0:
                 found.setdefault(fit.units[j], []).append(j)
         return _Arm(fit, normal_equations(fit, x), held, {unit: np.array(places) for unit, places in found.items()})
 
     def scaled(self, times: Mapping[str, float]) -> Array:
-        """The prior's information (n,) where it is so many times as wide."""
-        prior = self.prior.copy()
+        """The prior's information (n, n) where it is so many times as wide."""
+        wider = np.ones(len(self.prior))
         for unit, places in self.units.items():
-            prior[places] /= times[unit] ** 2
-        return prior
+            wider[places] = times[unit]
+        return np.asarray(self.prior / np.outer(wider, wider))
 
     def moved(self, times: Mapping[str, float]) -> _Arm:
         """Rows relinearised at the fit under that prior."""
-        posterior = self.rows.information + np.diag(self.scaled(times))
-        x: Array = np.asarray(np.linalg.solve(posterior, self.rows.toward), dtype=np.float64)
-        return replace(self, rows=normal_equations(self.fit, x))
+        away = np.linalg.solve(self.rows.information + self.scaled(times), self.rows.toward)
+        return replace(self, rows=normal_equations(self.fit, self.fit.x0 + away))
 
     def alike(self, other: _Arm) -> bool:
         """Whether both have the same priors."""

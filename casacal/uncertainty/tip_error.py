@@ -217,16 +217,19 @@ def classical_accuracy(bound: ArmProblem, x: Array) -> tuple[float, int]:
     return classical_bound(rows, scale, slopes, bound.tips(x, joints))
 
 
-def accuracy_in_box(bound: ArmProblem, x: Array, box: Box, off: Array | None = None) -> tuple[float, float]:
+def accuracy_in_box(
+    bound: ArmProblem, x: Array, box: Box, off: Array | None = None, covariance: Array | None = None
+) -> tuple[float, float]:
     """Tip error (mm RMS) to expect inside a box at x (n,), and its largest value there.
 
-    Both apart from the position of the base; `off` as for `tip_stds`.
-    Raises CasacalError when the arm hardly reaches the box.
+    Both apart from the position of the base; `off` as for `tip_stds`. covariance: (n, n) of x, where it is not the
+    posterior's, as under a robust loss. Raises CasacalError when the arm hardly reaches the box.
     """
     joints, frame = joints_in_box(bound, x, box), workspace_joints(bound.problem.robot)
     here, there = ((bound.tip_jacobian(x, each), bound.tips(x, each)) for each in (joints, frame))
     field = up_to_base(*here, *there)
-    covariance = bound.posterior(bound.information(x if off is None else x + off), x)
+    if covariance is None:
+        covariance = bound.posterior(bound.information(x if off is None else x + off), x)
     stds = np.linalg.norm(tip_stds(covariance, field, off), axis=1)
     return math.sqrt(float((stds**2).mean())), float(stds.max())
 
