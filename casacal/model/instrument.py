@@ -371,8 +371,9 @@ class Instrument(Portable, ABC):
 
     @property
     def words(self) -> Words:
-        """Words for reports."""
-        return Words(before=f"{' and '.join(self.datum)} fitted alone" if self.datum else "nothing fitted")
+        """Words for reports; by default in the unit of the first block."""
+        unit = self.blocks[0].unit if self.blocks else "mm"
+        return Words(unit=unit, before=f"{' and '.join(self.datum)} fitted alone" if self.datum else "nothing fitted")
 
     @property
     def probe(self) -> Probe | None:
@@ -432,6 +433,9 @@ def check_declaration(instrument: object) -> None:
         for meant in [] if hasattr(Instrument, own) else difflib.get_close_matches(own, DECLARABLE, 1, 0.85):
             fix = f"Call it '{meant}', or else something else"
             raise ProblemError(f"{name} has '{own}', which nobody asks for", fix)
+    if (units := {block.unit for block in instrument.blocks}) and instrument.words.unit not in units:
+        what = f"{name} speaks of {instrument.words.unit}, and its blocks are in {' and '.join(sorted(units))}"
+        raise ProblemError(what, "Give words=Words(unit=...) the unit of the first block")
     for key, constant in instrument.trusted.items():
         _check_trusted(instrument, f"The trusted constant '{key}' of {name}", constant)
 

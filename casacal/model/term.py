@@ -103,11 +103,10 @@ class Site:
 
     @cached_property
     def components(self) -> int:
-        """Components of the residual in the unit in which the instrument speaks, all where none is; one at least."""
+        """Components of the residual in the unit in which the instrument speaks; one where it cannot be built."""
         instrument = self.instrument
         if blocks := instrument.blocks:
-            speaks = sum(block.size for block in blocks if block.unit == instrument.words.unit)
-            return speaks or sum(block.size for block in blocks)
+            return sum(block.size for block in blocks if block.unit == instrument.words.unit)
         from casacal.model.traced_instrument import TracedInstrument
 
         try:

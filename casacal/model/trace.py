@@ -155,7 +155,7 @@ class Symbols(Value):
         here = replace(here, pose=pose)
         units = [block.unit for block in instrument.blocks for _ in range(block.size)]
         places = [k for k, unit in enumerate(units) if unit == instrument.words.unit]
-        if len(units) != residual.numel() or not places:
+        if len(units) != residual.numel():
             places = list(range(residual.numel()))
         for term in self.acting:  # each adds to the components that have its unit, one for all or one for each
             found = traced(term.residual, "residual", term.words, None, here, optional=True)

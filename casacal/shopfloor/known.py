@@ -531,6 +531,8 @@ class Pool(Value):
     def of(known: Known, samples: Samples) -> Pool:
         """Pool of the samples on faces that the belief knows."""
         rows = samples.take(np.flatnonzero(covered(known.bound, samples)))
+        if not len(rows):
+            return Pool(rows, np.zeros((0, 1, known.bound.unknowns)))
         return Pool(rows, LinearRows.of(known, rows).slope)
 
     def most_telling(self, covariance: Array, field: Array) -> int:

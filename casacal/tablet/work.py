@@ -124,6 +124,8 @@ class Work:
             self.arm = read_result(place.fit) if (place.fit / "result.json").is_file() else None
         except CasacalError as error:  # such as of a problem that was changed since: the page leads to another one
             self.said["decide"], self.failed["decide"] = (str(error),), True
+        if self.arm is not None and not self.outdated:
+            self._fitted = self._rows(place.samples)
         if line is not None and self._inbox is not None:
             threading.Thread(target=line.listen, args=(self._inbox,), daemon=True).start()
             threading.Thread(target=self._listen, daemon=True).start()

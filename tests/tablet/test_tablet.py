@@ -154,10 +154,12 @@ def test_other_names_and_other_origins_are_refused(workplace):
         ("127.0.0.1.evil.example", False),
         ("", False),
         ("[evil]:1", False),
+        ("robot-pc.lan:8765", False),
     ],
 )
 def test_names_of_this_machine(host, own):
     assert is_this_machine(host) is own
+    assert is_this_machine("robot-pc.lan:8765", "Robot-PC.lan"), "as --host says"
 
 
 def test_nothing_but_files_by_their_names_is_given_out(workplace):
@@ -799,6 +801,26 @@ def page_of(base):
 @pytest.fixture
 def calibrated(way, tmp_path):
     return shutil.copytree(way, tmp_path / "way")
+
+
+def test_a_verification_is_of_the_touches_kept_as_they_are(calibrated):
+    """A touch kept to verify that is taken back changes nothing of the calibration, and all of its verification."""
+    work = page_of(calibrated)
+    work.do("verify", {"version": work.version, "tolerance": ""})
+    wait(work)
+    assert work.verified is not None
+    kept = next(touch.number for touch in work.recording.session.touches if touch.purpose == "check")
+    fitted = next(touch.number for touch in work.recording.session.touches if touch.purpose == "fit")
+    for line in (f"u {kept}", f"s {kept}", f"s {kept}"):
+        enter(work, line)
+        gates = document(work)["gates"]
+        assert work.verified is None
+        assert gates["verify"]["state"] == "open"
+        assert not gates["verify"]["said"]
+        assert not work.outdated, "the touches that were fitted are as they were"
+        assert "nobody has checked" in gates["hand_over"]["missing"]
+    enter(work, f"u {fitted}")
+    assert work.outdated
 
 
 def test_a_problem_that_was_edited_asks_for_a_restart_and_a_restart_begins(calibrated):
