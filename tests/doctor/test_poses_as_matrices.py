@@ -1,13 +1,16 @@
 """Poses as controllers log them, sixteen numbers of a matrix, and quaternions under the wrong headings."""
 
+import json
 import math
 
 import numpy as np
 import pytest
+from conftest import ROOT
 from oracles import dh_chain
 from scipy.spatial.transform import Rotation
 
 from casacal import Robot, diagnose
+from casacal.cli.main import main
 from casacal.doctor import read_pendant_rows
 from casacal.doctor.words import diagnosis_text
 from casacal.errors import SamplesError
@@ -73,12 +76,14 @@ def test_fifteen_columns_are_none(tmp_path):
     ("heading", "roll", "order"),
     [(("qw", "qx", "qy", "qz"), 0, "x, y, z, w"), (("qx", "qy", "qz", "qw"), 1, "w, x, y, z")],
 )
-def test_quaternions_under_the_other_heading_are_named(tmp_path, heading, roll, order):
+def test_quaternions_under_the_other_heading_are_named(tmp_path, heading, roll, order, capsys):
     numbers = np.roll(Rotation.from_matrix(POSES[:, :3, :3]).as_quat(), roll, axis=1)
     found = diagnose(UR5, read(tmp_path, ("x", "y", "z", *heading), np.hstack([POSES[:, :3, 3], numbers])))
     assert found.order == order
     assert not found.certain
     assert f"in the order {order}" in diagnosis_text(found)
+    assert main(["doctor", str(ROOT / "problems" / "ur5"), str(tmp_path / "rows.csv"), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["order"] == order
     right = np.roll(numbers, 1 if roll == 0 else -1, axis=1)
     again = diagnose(UR5, read(tmp_path, ("x", "y", "z", *heading), np.hstack([POSES[:, :3, 3], right])))
     assert again.certain

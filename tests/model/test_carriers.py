@@ -49,6 +49,8 @@ def test_a_turntable_turns_the_arm_or_the_work():
     np.testing.assert_allclose(poses_of(carried(ROBOT, by=robot), joints), table @ flanges(joints[:, 1:]), atol=1e-9)
     seen = poses_of(facing(ROBOT, robot), np.roll(joints, -1, axis=1))  # the arm's joints come first
     np.testing.assert_allclose(seen, np.linalg.inv(table) @ flanges(joints[:, 1:]), atol=1e-9)
+    with pytest.raises(ProblemError, match=r"A turntable goes from .*within 4 turns of zero"):
+        turntable(*np.radians((-1700.0, 1700.0)))
 
 
 @pytest.mark.long

@@ -562,7 +562,7 @@ def test_the_evidence_of_rows_is_their_density_with_the_arm_integrated_out():
     rng = np.random.default_rng(4)
     r, slope, mean = rng.normal(size=(5, 2)), rng.normal(size=(5, 2, 4)), rng.normal(size=4)
     flat = slope.reshape(10, 4)
-    for root in (np.eye(4), np.tril(rng.normal(size=(4, 4)))):
+    for root in (np.eye(4), np.eye(4) + 0.3 * np.tril(rng.normal(size=(4, 4)))):
         prior = np.linalg.inv(root @ root.T)
         dense = multivariate_normal(cov=np.eye(10) + flat @ root @ root.T @ flat.T).logpdf(r.ravel() - flat @ mean)
         found = LinearRows(r, slope, np.ones((5, 2)), prior).posterior(mean).evidence

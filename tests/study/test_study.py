@@ -352,6 +352,19 @@ def test_shards_and_merge_from_the_command_line(serial, tmp_path, capsys):
     assert serial.digest in capsys.readouterr().out
     assert main(["study", str(TINY), "--merge", parts[0], "--out", str(tmp_path / "half")]) == 0
     assert "records are missing" in capsys.readouterr().err
+    assert "Add --resume" in refusal(capsys, TINY, "--merge", parts[1], "--out", tmp_path / "half")
+    assert main(["study", str(TINY), "--merge", parts[1], "--out", str(tmp_path / "half"), "--resume"]) == 0
+    assert serial.digest in capsys.readouterr().out
+    for both in (["--report", "--shard", "1/2"], ["--merge", parts[0], "--shard", "1/2"]):
+        assert "Give one of them" in refusal(capsys, TINY, *both, "--out", tmp_path / "whole")
+
+
+def test_advice_names_the_study_as_it_can_be_found_from_here(tmp_path, monkeypatch, capsys):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "small.py").write_text(TINY.read_text())
+    monkeypatch.chdir(tmp_path)
+    assert main(["study", "mine/small.py", "--shard", "1/2", "--out", "part"]) == 0
+    assert "casacal study mine/small.py --merge DIR DIR" in capsys.readouterr().out.replace("\n", " ")
 
 
 def test_what_cannot_be_run_is_refused_in_one_line(tmp_path, capsys):
