@@ -123,8 +123,7 @@ def calibrate(
         chosen_rows = single.take(fitted) if held.size else single
         set_aside, find_noise, kit = outliers == "set aside" and loss is None, noise == "found", discrepancy == "kit"
         if since is not None:
-            how = {"set_aside": set_aside, "noise": find_noise, "kit": kit}
-            fit, bare, aside = since.bound(chosen_rows.sets[0], **how, backend=backend, threads=threads)
+            fit, bare, aside = since.bound(chosen_rows.sets[0], set_aside, find_noise, kit, backend, threads)
         else:
             kit = kit and loss is None and not (name in METHODS and METHODS[name].parameters_only)
             settings = (set_aside, find_noise, kit, loss, backend, threads)

@@ -82,12 +82,11 @@ class RowsSince:
     def bound(
         self,
         samples: Samples,
-        *,
         set_aside: bool,
         noise: bool,
         kit: bool,
-        backend: str | None = None,
-        threads: int | None = None,
+        backend: str | None,
+        threads: int | None,
     ) -> tuple[BoundProblem, BoundProblem, tuple[Finding, ...]]:
         """Rows under all that the earlier result knows, under the geometry alone, and what is wrong with some.
 

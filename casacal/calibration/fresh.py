@@ -17,6 +17,7 @@ from casacal.calibration.inputs import problem_from, samples_of
 from casacal.calibration.saved import arm_from
 from casacal.data.repeats import copies, fitted_among, in_fitted_postures
 from casacal.data.samples import Samples
+from casacal.data.text import typed_rows
 from casacal.deployment.arm import (
     NOTHING,
     CalibratedArm,
@@ -216,7 +217,7 @@ class Fresh:
                 covariance += np.outer(along, along)
             elif name in {**bound.problem.robot.parameters, **bound.problem.instrument.unknowns}:
                 what = f"'{name}' may have changed, but this problem holds it, or nothing says that it stood"
-                fix = f"Free it (--free {name}) and calibrate anew; or name with --standing what has not been moved"
+                fix = f"Leave it out of --loosen and free it (--free {name}), or name with --standing what did not move"
                 raise CasacalError(what, fix)
             else:
                 raise UnknownNameError("unknown of the calibration", name, {**places, **dict.fromkeys(joints)})
@@ -257,8 +258,10 @@ def with_memory(fresh: Fresh, arm: CalibratedArm) -> Fresh:
     index = [places[bound.names[columns[k]]] for k in stays]
     covariance, at = fresh.covariance.copy(), fresh.at.copy()
     covariance[np.ix_(stays, stays)] = whole[np.ix_(index, index)]
-    for k in stays:
-        at[columns[k]] += off[bound.names[columns[k]]]
+    estimate = arm.found.effects.estimate
+    for k, i in zip(stays, index, strict=True):
+        j = columns[k]
+        at[j] = at[j] + off[bound.names[j]] if estimate is None else estimate[i]  # the former in older files
     return replace(fresh, at=at, covariance=covariance)
 
 
@@ -424,6 +427,11 @@ class Judged:
     copied_lines: tuple[int, ...]
     fitted_lines: tuple[int, ...]
     remarks: tuple[str, ...]
+
+    @property
+    def typed(self) -> str:
+        """The rows as arguments of a command."""
+        return typed_rows(self.samples)
 
     @property
     def said(self) -> str:

@@ -166,6 +166,9 @@ def in_space(calibration: Calibration, workspace: Workspace) -> Markup | None:
     return space_fold("The workspace in space", words, data)
 
 
+EARLIER = "that of the earlier result"
+
+
 def expected_error(each: Sequence[Touches], box: Box | None) -> dict[str, Any]:
     """Rows of the table of figures, the largest correction, and maps of error and correction from two sides."""
     calibration = each[0].calibration
@@ -178,8 +181,9 @@ def expected_error(each: Sequence[Touches], box: Box | None) -> dict[str, Any]:
     moved, worst = tip_extremes(calibration.motion, calibration.workspace)
     (before, now), (alone, missed) = calibration.tip_std, calibration.tip_std_without_prior
     unseen = f", {count(missed, 'direction')} unseen" if missed else ""
+    earlier = calibration.earlier is not None
     rows = [
-        ["Before: priors alone", mm(before), "–"],
+        ["Before: the earlier result" if earlier else "Before: priors alone", mm(before), "–"],
         ["After: samples and priors", mm(now), mm(worst)],
         [f"Samples alone, without priors{unseen}", mm(alone) if alone < METRE else "unbounded", "–"],
     ]
@@ -188,10 +192,13 @@ def expected_error(each: Sequence[Touches], box: Box | None) -> dict[str, Any]:
         ranges = ", ".join(f"{axis} {low:g} to {high:g}" for axis, (low, high) in zip("xyz", box, strict=True))
         rows.append([f"After, inside the box {ranges} mm", mm(rms), mm(most)])
     error = workspace_maps("error", "expected tip error, mm", workspace.error, workspace.tips, np.vstack(marks), box)
-    words = "distance of the calibrated from the nominal tip, mm"
-    correction = workspace_maps("correction", words, workspace.correction, workspace.tips, np.vstack(marks), box)
+    base = EARLIER if earlier else "the nominal one"
+    words, values = f"distance of the calibrated tip from {base}, mm", workspace.correction
+    correction = workspace_maps("correction", words, values, workspace.tips, np.vstack(marks), box, base)
+    what = "change from the earlier result" if earlier else "correction"
+    largest = f"The largest {what} in the workspace is {mm(moved)}."
     maps = [(MAPS["error"][0], error), (MAPS["correction"][0], correction)]
-    return {"rows": rows, "moved": moved, "maps": maps, "space": in_space(calibration, workspace)}
+    return {"rows": rows, "largest": largest, "maps": maps, "space": in_space(calibration, workspace)}
 
 
 @dataclass(frozen=True)
@@ -199,7 +206,7 @@ class Workspace:
     """Tips (N, 3) of random postures, and at each the expected error and the correction (N,), all mm.
 
     Both apart from the position of the base. The error is the standard deviation, its three axes together; the
-    correction is how far the calibrated tip lies from the nominal one.
+    correction is how far the calibrated tip lies from the nominal one, or from that of an earlier result.
     """
 
     tips: Array
@@ -241,6 +248,7 @@ def report_page(
         "document": document,
         "robot": problem.robot.name,
         "said": problem.words,
+        "ground": "the arm as drawn" if calibration.earlier is None else "the arm by the earlier result",
         "assumed": calibration.assumed,
         "noise_of": calibration.noise_words,
         "loss": calibration.result.loss,

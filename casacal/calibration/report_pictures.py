@@ -61,7 +61,7 @@ MAPS = {  # title and caption of each map of the workspace
     ),
     "correction": (
         "Correction",
-        "How far the calibrated tip lies from the nominal one, apart from the position of the base: what the "
+        "How far the calibrated tip lies from {base}, apart from the position of the base: what the "
         "calibration changes.",
     ),
 }
@@ -218,10 +218,13 @@ def _map(name: str, label: str, places: Places, means: Squares | None, scale: Sc
     return picture(name, f"Residual over face {label}", said, panel.height, frame, *drawn)
 
 
-def workspace_maps(name: str, words: str, values: Array, tips: Array, marks: Array, box: Box | None) -> Markup:
-    """Values (N,) at tips from the side and from the top, where the box is drawn."""
+def workspace_maps(
+    name: str, words: str, values: Array, tips: Array, marks: Array, box: Box | None, base: str = ""
+) -> Markup:
+    """Values (N,) at tips from the side and from the top, where the box is drawn; `base`: what corrections are from."""
     scale, title = Scale.of_sizes(values), MAPS[name][0]
-    caption = MAPS[name][1] + (" The black frame is the box that was asked for." if box is not None else "")
+    framed = " The black frame is the box that was asked for." if box is not None else ""
+    caption = MAPS[name][1].format(base=base) + framed
 
     def view(side: str, points: Array, touched: Array, across: str, up: str, *drawn: Box) -> Markup:
         squares = in_squares(points, values**2, SQUARES)

@@ -304,7 +304,8 @@ def _discrepancy(calibration: Calibration) -> dict[str, Any] | None:
     unknowns = [{"name": name, "effect": effect, "value": at[name]} for name, effect in pairs if effect]
     names, off = list(motion.arm.names), np.zeros(motion.x.size) if motion.off is None else motion.off
     denied = bool(np.isnan(motion.covariance).any())
-    known = {} if denied else {"covariance_of": names, "off": off, "covariance": motion.covariance}
+    estimate = [at[name] for name in names]
+    known = {"covariance_of": names, "off": off, "estimate": estimate, "covariance": motion.covariance}
     tried = [asdict(each) | {"corrected": each.corrected} for each in calibration.tried]
     corrected = list(calibration.corrected)
     parts: dict[str, Any] = {"effects": effects, "tried": tried, "corrected": corrected, "unknowns": unknowns}
@@ -314,7 +315,7 @@ def _discrepancy(calibration: Calibration) -> dict[str, Any] | None:
         parts["expected_rms_mm_without_corrections"] = math.nan if denied else tip_error(fit, calibration.result, ())
     if calibration.told:
         parts["expected_rms_mm_without_columns"] = math.nan if denied else _without_columns(calibration)
-    return {**parts, **known, **_columns(calibration)}
+    return {**parts, **({} if denied else known), **_columns(calibration)}
 
 
 def _picked(of: object, *names: str) -> dict[str, Any]:

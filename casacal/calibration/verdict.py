@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,6 +20,7 @@ from casacal.calibration.motion import chance_worse, tip_extremes
 from casacal.calibration.numbers import SCALE, TOOL, without_its_likes
 from casacal.calibration.set_aside import OUTLIERS, robust_fit, studentised_outliers
 from casacal.data.samples import Measurements
+from casacal.data.text import typed_rows
 from casacal.deployment.result import Verdict
 from casacal.effects.selection import at_most, errors_are_shared
 from casacal.effects.trusted import COVERED
@@ -621,7 +623,7 @@ def repair(calibration: Calibration, check: str) -> str:
     if held_as_drawn(calibration):
         return "free it, or state in the problem where it is, and calibrate again."
     if calibration.earlier is not None and earlier_contradicted(calibration):
-        rows = f"casacal changed {calibration.earlier.file} {calibration.samples.file}"
+        rows = f"casacal changed {shlex.quote(calibration.earlier.file)} {typed_rows(calibration.samples.file)}"
         return f"run {rows}, which says what has changed; then name that with --loosen."
     if wrong:
         for name in re.findall(r"--set (\S+?)=", wrong[0].fix):  # what is to be set otherwise is not set so again

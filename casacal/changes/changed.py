@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -135,7 +136,10 @@ def _cause(found: Explanation, look: Look, rows: Samples, places: Index) -> Caus
         return CauseFound(f"line {line}", "row", line, (), (), none, none, *figures)
     probe = look.fresh.bound.problem.instrument.probe
     dial = cause.kind == "tool" and probe is not None and probe.column is not None
-    return CauseFound(cause.name, cause.kind, 0, cause.labels, cause.units, fitted.shift, fitted.std, *figures, dial)
+    tool = look.fresh.bound.problem.instrument.unknowns.get("tool")
+    held = cause.kind == "tool" and (tool is None or not tool.size)
+    said = (cause.name, cause.kind, 0, cause.labels, cause.units, fitted.shift, fitted.std)
+    return CauseFound(*said, *figures, dial, held)
 
 
 def write_touches(path: str | Path, found: Change, layout: Layout, name: str) -> None:
@@ -159,7 +163,7 @@ class CauseFound(Value):
     off. line: of such a row. shift, std: by how much (k,), in `units`, along `labels`, with standard deviations; where
     rows see only some directions of it, what they see. p: chance of as much explained where nothing changed. share:
     part of the evidence. left: chance of what stays unexplained. dial: whether it is a tool with a dial, which shows a
-    zero that was set anew as a tool of another length.
+    zero that was set anew as a tool of another length. held: whether the problem holds that tool where it is.
     """
 
     name: str
@@ -173,6 +177,7 @@ class CauseFound(Value):
     share: float
     left: float
     dial: bool = False
+    held: bool = False
 
     def __post_init__(self) -> None:
         frozen((self.shift, self.std))
@@ -322,8 +327,9 @@ def _next(found: Change) -> str:
         (cause,) = found.causes
         moved = cause.name.split(".")
         standing = [name for name in found.judged.standing if cause.kind != "base" and name not in moved]
-        words = ["casacal calibrate PROBLEM", found.judged.samples, "--prior-from", found.judged.result]
-        words += ["--loosen", cause.name.replace(" ", "")] if cause.kind in ("joint", "tool") else []
+        words = ["casacal calibrate PROBLEM", found.judged.typed, "--prior-from", shlex.quote(found.judged.result)]
+        if cause.kind in ("joint", "tool"):
+            words += ["--free", "tool"] if cause.held else ["--loosen", cause.name.replace(" ", "")]
         words += ["--standing", ",".join(standing)] if standing else []
         said = "find out what was done to the arm. Then take the old result as the prior of these rows "
         return f"{said}({' '.join(words)}) or calibrate again, and verify with fresh rows."
@@ -332,7 +338,7 @@ def _next(found: Change) -> str:
     if rows := [cause.name for cause in found.causes if cause.kind == "row"]:
         return f"measure {listed(rows)} again. If the reading stays, something has changed, or it was a false alarm."
     if len(found.causes) < 2:
-        said = f"casacal check PROBLEM {found.judged.samples} looks for mistakes in these rows"
+        said = f"casacal check PROBLEM {found.judged.typed} looks for mistakes in these rows"
         return f"{said}. If there are none, calibrate again with old and new rows."
     if found.touches is None:
         return "--touches FILE plans touches that would settle it. Pass them together with these rows."

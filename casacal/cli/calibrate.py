@@ -143,7 +143,11 @@ def _report(calibration: Calibrated, source: ProblemFile, box: Box | None, optio
     verdict, denied = calibration.verdict, calibration.denied
     expected, found = list[str](), dict[str, Any]()
     if box is not None and not denied:
-        error, worst = calibration.unjudged.tip_std_in(box)
+        try:
+            error, worst = calibration.unjudged.tip_std_in(box)
+        except CasacalError as why:  # the calibration stands all the same
+            box, expected = None, [str(why)]
+    if box is not None and not denied:
         expected = [f"Inside {options.box} mm: a tip error of {mm(error)} RMS, {mm(worst)} at worst."]
         found["box"] = {"range_mm": box, "expected_rms_mm": error, "worst_mm": worst}
     if source.assumed:

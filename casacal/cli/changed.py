@@ -37,7 +37,8 @@ def run(options: argparse.Namespace) -> int:
 
     result, other, named, rows = fresh_rows(options)
     outs = [] if options.touches is None else [options.touches]
-    common.spare(outs, options.samples, options.readings, result.file, *common.made_from(result))
+    read = (options.samples, options.readings, result.file, *common.made_from(result))
+    common.spare(outs, *read, option="--touches")
     standing = common.names_of("--standing", options.standing)
     case = opened(result, rows, problem=other, instrument=named, standing=standing)
     drift = common.stds_of("--drift", options.drift, "theta=2e-5")

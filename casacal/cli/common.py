@@ -144,6 +144,8 @@ def box_of(text: str, *, option: str = "--box") -> tuple[tuple[float, float], tu
         raise CasacalError(f"{option} {text} is not X0:X1,Y0:Y1,Z0:Z1", "Give three ranges in mm") from None
     if not all(map(math.isfinite, (x0, x1, y0, y1, z0, z1))):
         raise CasacalError(f"{option} is {text}", "Give numbers of mm: 100000 is far enough")
+    if not (x0 < x1 and y0 < y1 and z0 < z1):
+        raise CasacalError(f"{option} {text} is empty", "Give each range as LOW:HIGH in mm")
     return (x0, x1), (y0, y1), (z0, z1)
 
 

@@ -10,6 +10,7 @@ from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
     from casacal.data.samples import Samples
+    from casacal.data.text import Table
     from casacal.deployment.arm import CalibratedArm
     from casacal.model.problem_file import ProblemFile
 
@@ -29,7 +30,8 @@ def add_fresh_rows(parser: argparse.ArgumentParser, standing: str) -> None:
 def fresh_rows(options: argparse.Namespace) -> tuple[CalibratedArm, ProblemFile | None, str | None, Samples]:
     """The result that `add_fresh_rows` names, a problem of another instrument, which instrument it is, and its rows."""
     from casacal.calibration.fresh import measured_by
-    from casacal.data.samples import Samples
+    from casacal.data.samples import Samples, read_any_table
+    from casacal.data.text import joined_tables
     from casacal.deployment.arm import for_instrument
     from casacal.deployment.result_file import read_result
     from casacal.model.problem_file import load_problem
@@ -39,9 +41,12 @@ def fresh_rows(options: argparse.Namespace) -> tuple[CalibratedArm, ProblemFile 
         raise CasacalError("SAMPLES is empty", "Name a file of fresh rows")
     result = read_result(options.result)
     other = None if options.problem is None else of_instrument(load_problem(options.problem), options.instrument)
-    taken = program_table(options.samples, options) if is_program(options.samples) else options.samples
+    taken: str | Table = options.samples
+    if is_program(options.samples):
+        taken = program_table(options.samples, options)
+    elif options.readings is not None:
+        taken = joined_tables(read_any_table(options.samples), read_any_table(options.readings), key=options.id)
     named = None if other is not None else measured_by(result, taken, options.instrument)
     problem = for_instrument(result, named).source.problem if other is None else other.problem
-    if not isinstance(taken, str):
-        return result, other, named, Samples.from_table(taken, problem.layout())
-    return result, other, named, problem.read(taken, readings=options.readings, key=options.id)
+    rows = problem.read(taken) if isinstance(taken, str) else Samples.from_table(taken, problem.layout())
+    return result, other, named, rows

@@ -80,6 +80,7 @@ def run(options: argparse.Namespace) -> int:
         "nominal": nominal,
         "verdict": result.verdict,
         "written": [options.out],
+        "notes": said,
     }
     answer(options, found, f"Written: {options.out} ({counted(len(prediction), 'pose')} of the {options.frame})", *said)
     return DONE
@@ -101,8 +102,8 @@ def _run_program(options: argparse.Namespace, result: CalibratedArm) -> int:
     lost += [f"{program.where(program.targets[i])}: '{program.targets[i].name}': {why}" for i, why in run.why.items()]
     said = [f"No pose: {each}" for each in lost[:5]]
     said += [f"... and {len(lost) - 5} more"] if len(lost) > 5 else []
-    said += [*([] if result.denial is None else [result.denial]), *care]
+    notes = [*([] if result.denial is None else [result.denial]), *care]
     moves = sum(move.target not in run.why for move in program.moves)
-    found = {"poses": moves, "left": lost, "verdict": result.verdict, "written": [options.out]}
-    answer(options, found, f"Written: {options.out} ({counted(moves, 'move')})", *said)
+    found = {"poses": moves, "left": lost, "verdict": result.verdict, "written": [options.out], "notes": notes}
+    answer(options, found, f"Written: {options.out} ({counted(moves, 'move')})", *said, *notes)
     return FAILED if lost else DONE

@@ -41,8 +41,8 @@ def read_program_of(options: argparse.Namespace, path: str) -> tuple[TaughtProgr
         else settings_of(f"--{kind}", [f"={text}"], "six numbers", "six", _numbers)[""]
         for kind in ("pulses", "near")
     )
-    if near is not None and len(near) != 6:
-        raise CasacalError(f"--near has {len(near)} joint values", "Give six, in degrees")
+    if near is not None and not (len(near) == 6 and all(map(math.isfinite, near))):
+        raise CasacalError(f"--near has {len(near)} joint values, or some that are infinite", "Give six, in degrees")
     begin = None if near is None else [math.radians(value) for value in near]
     return read_program(path, tools=tools, bases=bases, pulses=pulses), begin
 

@@ -11,6 +11,7 @@ import csv
 import hashlib
 import math
 import re
+import shlex
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -253,6 +254,15 @@ def has_decimal_commas(table: Table) -> bool:
     return comma is not None
 
 
+TOGETHER = " with "  # between two files whose columns were joined
+
+
+def typed_rows(file: str) -> str:
+    """What a command is told of rows, by what they are called: "poses.csv with readings.csv" are two files."""
+    poses, _, readings = file.partition(TOGETHER)
+    return f"{shlex.quote(poses)}{f' --readings {shlex.quote(readings)}' if readings else ''}"
+
+
 def joined_tables(poses: Table, readings: Table, *, key: str = KEY) -> Table:
     """Columns of poses and of the readings with the same id; SamplesError for one missing, doubled or alone."""
     for table in (poses, readings):
@@ -277,7 +287,7 @@ def joined_tables(poses: Table, readings: Table, *, key: str = KEY) -> Table:
         raise SamplesError(readings.file, what, "Add it, or remove the line", line=readings.lines[k])
     header = (*poses.header, *(column for column in readings.header if column != key))
     digest = hashlib.sha256((poses.sha256 + readings.sha256).encode()).hexdigest()
-    file = f"{poses.file} with {readings.file}"
+    file = f"{poses.file}{TOGETHER}{readings.file}"
     return Table(file, digest, header, poses.header_line, tuple(rows), poses.lines, decimal_comma=False)
 
 

@@ -88,6 +88,7 @@ def _effects(part: Mapping[str, Any]) -> EffectsFound:
         covariance_of=names,
         covariance=None if covariance is None else _square(covariance, len(names)),
         off=None if covariance is None else _array(part["off"]),
+        estimate=None if covariance is None or "estimate" not in part else _array(part["estimate"]),
         usual=usual,
         mean=mean,
         spread=spread,

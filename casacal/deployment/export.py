@@ -356,6 +356,6 @@ def _remarked(text: str, arm: CalibratedArm) -> str:
     """A URDF with its remark as a comment before its first element, in place of an older one."""
     text = re.sub(rf"<!-- {MARK}.*?-->\r?\n?", "", text, flags=re.DOTALL)
     words = "\n".join(remark(arm, form="urdf")).replace("--", "- -")  # a comment holds no two hyphens
-    place = re.search(r"<(?=[A-Za-z_])", text)
-    assert place is not None
-    return f"{text[: place.start()]}<!-- {words} -->\n{text[place.start() :]}"
+    tags = re.finditer(r"<!--.*?-->|<(?=[A-Za-z_])", text, re.DOTALL)  # comments may hold what looks like one
+    place = next(tag.start() for tag in tags if tag[0] == "<")
+    return f"{text[:place]}<!-- {words} -->\n{text[place:]}"

@@ -190,15 +190,18 @@ def _table(compensation: Compensation, result: CalibratedArm) -> Iterator[str]:
     names = ",".join(f"q{i}_{'deg' if turn else 'mm'}" for i, turn in enumerate(turns, 1))
     named = compensation.targets.names
     names = ",".join(("line", *named, names))
-    yield f"{names},status,residual_mm,residual_mrad,correction_mm,correction_deg,expected_mm"
+    slides = "" if turns.all() else "correction_slide_mm,"
+    yield f"{names},status,residual_mm,residual_mrad,correction_mm,correction_deg,{slides}expected_mm"
     denied = result.denial is not None
     written = compensation.joints * np.where(turns, 180 / math.pi, 1.0)
+    moves = np.abs(compensation.joints - compensation.start)
+    largest = [np.degrees(moves[:, turns].max(axis=1, initial=0.0)), moves[:, ~turns].max(axis=1, initial=0.0)]
     for i, outcome in enumerate(compensation.outcomes):
         figures = (
             compensation.residual_mm[i],
             1e3 * compensation.residual_rad[i],
             compensation.correction_mm[i],
-            math.degrees(compensation.correction[i]),
+            *(each[i] for each in largest[: 1 if turns.all() else 2]),
             math.nan if denied else compensation.expected_mm[i],
         )
         joints = [_cell(value, compensation.rounding.decimals) for value in written[i]]

@@ -49,13 +49,15 @@ def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
         lines.append(f"{MARK}the result's verdict: {level if alone else care}")
     if (image := result.mirror_words) is not None:
         lines.append(f"{MARK}{image}")
-    known = f"{error:.3f} mm RMS over the workspace, apart from the position of the base"
-    shown = "not known" if math.isnan(error) else known
-    return [
-        *lines,
-        f"{MARK}expected tip error: {shown}; small residuals on planes are not accuracy",
-        f"{MARK}what the samples do not determine is as the prior has it; the result names it",
-    ]
+    where = "mm RMS over the workspace, apart from the position of the base"
+    errors = (error, math.nan if alone else found.tip.flange_expected_mm)
+    tip, flange = ("not known" if math.isnan(each) else f"{each:.3f} {where}" for each in errors)
+    if form == "frame":
+        lines.append(f"{MARK}expected tip error: {tip}; small residuals on planes are not accuracy")
+    elif form != "zeros":  # which hold no more than a part of the correction, and say of how much
+        lines.append(f"{MARK}expected error of the flange, which is what this form holds: {flange}")
+        lines.append(f"{MARK}and of the tip, with the tool as calibrated: {tip}; residuals are not accuracy")
+    return [*lines, f"{MARK}what the samples do not determine is as the prior has it; the result names it"]
 
 
 def other_forms(robot: Robot) -> str:

@@ -127,8 +127,9 @@ class EffectsFound(Value):
 
     effects: all that were looked for. corrected: keys of those that are. values, of: unknowns by name, and the key of
     the effect that each belongs to. without_corrections: the geometry, by name, where nobody corrects an effect.
-    covariance (k, k) of the unknowns `covariance_of`, geometry and effects together, and by how much each of these is
-    elsewhere than the arm is said to be (`off`); None where the verdict denies them. usual, mean, spread: RMS, mean and
+    covariance (k, k) of the unknowns `covariance_of`, geometry and effects together, their `estimate`, and by how much
+    each of these is elsewhere than the arm is said to be (`off`); None where the verdict denies them, and the estimate
+    in older files. usual, mean, spread: RMS, mean and
     standard deviation in the fitted rows of the columns of a row model that tell effects. ranges: lowest and highest
     amount by column of a file. further: columns of a file that tell an effect, by its key. uncorrected_mm: tip error
     to expect, mm RMS, where nobody corrects an effect.
@@ -142,6 +143,7 @@ class EffectsFound(Value):
     covariance_of: tuple[str, ...]
     covariance: Array | None
     off: Array | None
+    estimate: Array | None
     usual: Mapping[str, float]
     mean: Mapping[str, float]
     spread: Mapping[str, float]

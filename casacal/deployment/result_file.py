@@ -90,8 +90,9 @@ def _check_discrepancy(file: str, part: Mapping[str, Any]) -> None:
     if "covariance" in part:
         if not names or len(set(names)) < len(names):
             raise CasacalError(f"{file}: the 'covariance_of' of its discrepancy is {_short(names)}", FIX)
-        if len(part.get("off", ())) != len(names):
-            raise CasacalError(f"{file}: the 'off' of its discrepancy is {_short(part.get('off'))}", FIX)
+        for each in ("off", "estimate"):
+            if len(part.get(each, () if each == "off" else names)) != len(names):  # older files have no estimate
+                raise CasacalError(f"{file}: the '{each}' of its discrepancy is {_short(part.get(each))}", FIX)
         _check_covariance(file, part["covariance"], len(names))
 
 

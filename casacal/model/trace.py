@@ -76,7 +76,7 @@ class Symbols(Value):
         for term, unknowns in self.of_terms:
             if twice := sorted(found.keys() & unknowns.keys()):
                 what = f"'{twice[0]}' is an unknown of '{term.words}', and one of '{self.robot.name}' or its instrument"
-                raise ProblemError(what, "Call that one something else, or calibrate without effects")
+                raise ProblemError(what, "Call that one something else, or leave that term out (--discrepancy none)")
             found |= unknowns
         return FrozenMapping(found)
 
@@ -124,7 +124,7 @@ class Symbols(Value):
         for term, name in of_terms:
             if name in own:
                 what = f"'{name}' is a column of the instrument, and what '{term.words}' calls one of its own"
-                raise ProblemError(what, "Call that column something else, or calibrate without effects")
+                raise ProblemError(what, "Call that column something else, or leave that term out (--discrepancy none)")
         names = own | dict.fromkeys(name for _, name in of_terms)
         return FrozenMapping({name: ca.SX.sym(name) for name in names})
 

@@ -118,9 +118,8 @@ def plan(
     bound = bound_pool(problem, reachable, after, loose)
     choice_at = partial(Choice.of, bound, wanted_joints(bound, box, targets), count=pool, loose=loose)
     choice = choice_at()
-    checks, repeats = enough_to_verify(problem, reachable, round(check * touches)), round(again * touches)
-    if touches - checks - repeats < LEAST_FITTED:
-        checks = round(check * touches)
+    checks, repeats = round(check * touches), round(again * touches)
+    checks = enough_to_verify(problem, reachable, checks, touches - repeats - LEAST_FITTED)
     rng = np.random.default_rng([seed, 1])
     best, few = _enough_of_each(problem, reachable, choice, touches - checks - repeats, starts, rng, criterion)
     twice = best[np.linspace(0, len(best) - 1, repeats).astype(int)] if repeats else best[:0]
@@ -131,8 +130,8 @@ def plan(
     purposes = [FIT] * len(best) + [CHECK] * len(fresh)
     draws = [choice.error(rng.choice(pool, len(best), replace=False)) for _ in range(DRAWS)]
     fitted = np.concatenate([best, twice])
-    std = np.where(np.isfinite(bound.prior_std), bound.prior_std, 0.0)
-    arms = bound.x0 + std * np.random.default_rng([seed, 2]).normal(size=(ARMS, std.size))
+    stds = np.where(np.isfinite(bound.prior_std), bound.prior_std, 0.0)
+    arms = bound.x0 + stds * np.random.default_rng([seed, 2]).normal(size=(ARMS, stds.size))
     over_arms = [choice_at(at=arm).error(fitted) for arm in arms]
     return Plan(
         replace(reachable.take(order), lines=tuple(range(1, len(order) + 1))),
@@ -193,10 +192,10 @@ TRIES = 20  # draws of what is kept to verify, until one places all that it touc
 NEARLY = 0.75  # of the touches that verify every face, from which on there are as many
 
 
-def enough_to_verify(problem: Problem, pool: Samples, count: int) -> int:
+def enough_to_verify(problem: Problem, pool: Samples, count: int, most: int) -> int:
     """Measurements to verify: a few more than a count where these then place every face, point or anchor of a pool.
 
-    Each has one to lose, such as a touch that cannot be made where the real face stands.
+    Each has one to lose, such as a touch that cannot be made where the real face stands; but no more than `most`.
     """
     instrument, least, spare = problem.instrument, 0, 0
     for key in instrument.datum:
@@ -204,7 +203,7 @@ def enough_to_verify(problem: Problem, pool: Samples, count: int) -> int:
         each = int((~np.isfinite(unknown.prior_stds)).sum()) // problem.models[0].components + 1
         there = len(instances(instrument, key, unknown, pool))
         least, spare = max(least, each * there), max(spare, (each + 1) * there)
-    return max(count, spare) if count >= NEARLY * least else count
+    return max(count, spare) if count >= NEARLY * least and spare <= most else count
 
 
 def _by_label(rows: Index, labels: Labels, first: str | None) -> Index:
@@ -333,7 +332,7 @@ def touches_for(
 def _in_all(problem: Problem, pool: Samples, fitted: int, again: float, check: float) -> int:
     """Touches of a plan of which so many are fitted, whatever it takes to verify every face."""
     count = round(fitted / max(1 - check - again, 0.1))
-    return count + enough_to_verify(problem, pool, round(check * count)) - round(check * count)
+    return count + enough_to_verify(problem, pool, round(check * count), count) - round(check * count)
 
 
 FLAT = 0.93  # error over that of fewer touches above which more bring little

@@ -373,7 +373,7 @@ def _next(found: Verification) -> list[str]:
         said += "with fresh rows. Or ask for a tolerance that the calibration promises."
     elif found.gross_lines and found.kept_without_gross:
         it = "this row" if len(found.gross_lines) == 1 else "these rows"
-        said = f"measure {it} again; casacal check PROBLEM {found.judged.samples} looks closer at the rows."
+        said = f"measure {it} again; casacal check PROBLEM {found.judged.typed} looks closer at the rows."
     elif len(bad) == 1 and len(found.faces) > 1:
         its_own = any(f".{bad[0]}." in name for name in found.judged.own)
         when = "may have moved during the touches" if its_own else "has moved: leave it out of --standing"
@@ -384,7 +384,7 @@ def _next(found: Verification) -> list[str]:
         said += "a part has changed since: casacal changed RESULT ROWS looks which. After a change, calibrate again "
         said += "with the new rows alone; otherwise with old and new rows."
     else:
-        said = f"casacal check PROBLEM {found.judged.samples} looks for mistakes in these rows. Measure some of them "
+        said = f"casacal check PROBLEM {found.judged.typed} looks for mistakes in these rows. Measure some of them "
         said += "again; if they read the same, calibrate again with old and new rows."
     return [f"Next: {said}"]
 
