@@ -52,11 +52,11 @@ def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
     where = "mm RMS over the workspace, apart from the position of the base"
     errors = (error, math.nan if alone else found.tip.flange_expected_mm)
     tip, flange = ("not known" if math.isnan(each) else f"{each:.3f} {where}" for each in errors)
-    if form == "frame":
-        lines.append(f"{MARK}expected tip error: {tip}; small residuals on planes are not accuracy")
-    elif form != "zeros":  # which hold no more than a part of the correction, and say of how much
-        lines.append(f"{MARK}expected error of the flange, which is what this form holds: {flange}")
-        lines.append(f"{MARK}and of the tip, with the tool as calibrated: {tip}; residuals are not accuracy")
+    if form != "zeros":  # which hold no more than a part of the correction, and say of how much
+        held = "" if form == "frame" else "with the tool as calibrated, which is not in this form; "
+        lines.append(f"{MARK}expected tip error: {tip}; {held}small residuals on planes are not accuracy")
+    if form not in ("zeros", "frame"):
+        lines.append(f"{MARK}expected error of the flange, which this form holds: {flange}")
     return [*lines, f"{MARK}what the samples do not determine is as the prior has it; the result names it"]
 
 

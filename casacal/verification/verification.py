@@ -14,7 +14,7 @@ import numpy as np
 from markupsafe import Markup
 
 from casacal.calibration.as_arm import AsArm
-from casacal.calibration.fresh import Fresh, Judged, Opened, opened
+from casacal.calibration.fresh import Fresh, Judged, Opened, opened, with_memory
 from casacal.data.samples import Samples
 from casacal.deployment.arm import CalibratedArm, cautions
 from casacal.errors import CasacalError, SamplesError
@@ -443,7 +443,11 @@ def verify(
 
 def _judged(case: Opened, standing: tuple[str, ...], tolerance: float | None, risk: float) -> Verification:
     """All figures of a verification."""
-    fresh, freedom, words = case.fresh(standing), case.noise_freedom, case.source.problem.instrument.words
+    anew, freedom, words = case.fresh(standing), case.noise_freedom, case.source.problem.instrument.words
+    memory = with_memory(anew, case.arm)
+    # of geometry and effects together it is known where they are, and the arm as it is used is elsewhere
+    away = (memory.at - anew.at)[anew.known]
+    fresh = replace(anew, covariance=memory.covariance + np.outer(away, away))
     bound, rows, arm = fresh.bound, fresh.linear, fresh.of_arm
     # slopes by the arm's unknowns, in units of their priors (1 mm, 1 mrad if flat); priors of own unknowns have none
     scaled = np.zeros((len(rows.residual), arm.size))
