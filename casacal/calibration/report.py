@@ -68,19 +68,22 @@ def worst_rows(each: Sequence[Touches]) -> dict[str, Any]:
     """The rows of all instruments that fit worst, most telling first, and how many are beyond `LARGE`."""
     worst: list[tuple[float, int, list[str]]] = []
     beyond, calibration = 0, each[0].calibration
-    for name, part in ((of.name, part) for of in each for part in of.parts):
+    words = calibration.fit.problem.words
+    for of, part in [(one, part) for one in each for part in one.parts]:
         white = np.abs(part.after / part.noise)
         sizes = white.max(axis=1)
         beyond += int((sizes > LARGE).sum())
+        unit = of.instrument.words.unit
         for i in np.argsort(-sizes, kind="stable")[:SHOWN].tolist():
             label = "–" if part.labels is None else shortened(part.labels[i], 40)
             weight = "–" if part.held else fixed(float(part.weight[i]), 2)
             off = fixed(float(part.after[i, int(np.argmax(white[i]))]), signed=True)
+            off += "" if unit == words.unit else f" {unit}"
             rows = "held\N{NO-BREAK SPACE}out" if part.held else "fitted"
-            cells = [f"{name} {part.lines[i]}".strip(), label, rows, off, fixed(float(sizes[i]), 1), weight]
+            cells = [f"{of.name} {part.lines[i]}".strip(), label, rows, off, fixed(float(sizes[i]), 1), weight]
             worst.append((-float(sizes[i]), int(part.lines[i]), cells))
     worst.sort(key=lambda entry: entry[:2])
-    titles = ["Line", capital(calibration.fit.problem.words.group), "Rows", "#Residual, mm"]
+    titles = ["Line", capital(words.group), "Rows", f"#Residual, {words.unit}"]
     titles += [f"#Times {calibration.noise_words}", *(["#Weight"] if calibration.result.loss is not None else [])]
     rows_shown = [cells[: len(titles)] for _, _, cells in worst[:SHOWN]]
     return {"beyond": beyond, "large": f"{LARGE:g}", "columns": titles, "rows": rows_shown}
@@ -320,14 +323,16 @@ def _figures(calibration: WithVerdict) -> list[tuple[str, str, str]]:
     if not calibration.denied:
         words = f"RMS over the workspace, apart from the position of the base; before {mm(drawn)}"
         expected = ("Expected tip error", mm(now), words)
-    residual = f"RMS of the {where}; before {mm(was['rmse_mm'], 4)}"
+    unit = calibration.fit.problem.words.unit
+    shown, before_it = (mm(each["rmse_mm"], 4).replace("mm", unit) for each in (left, was))
+    residual = f"RMS of the {where}; before {before_it}"
     agreement, checked = "not run", "nothing checked"
     if reference is not None:
         checked, agreement = "on", f"{reference.solver.upper()} {'agrees' if reference.agrees else 'differs'}"
     minimum = f"{checked} the minimum; rank {found.rank} of {count(found.unknowns, 'unknown')}"
     return [
         expected,
-        ("Residual: not accuracy", mm(left["rmse_mm"], 4), residual),
+        ("Residual: not accuracy", shown, residual),
         ("Known from samples", f"{known} of {len(free)}", "parameters; the others depend on the prior"),
         ("Second solver", agreement, minimum),
     ]

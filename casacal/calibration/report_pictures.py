@@ -88,7 +88,7 @@ def histograms(touches: Touches) -> Markup:
 
 def _histogram(touches: Touches, when: When) -> Markup:
     """Shares of fitted rows as bars, of held-out rows as an outline; after, what the noise predicts."""
-    found = [part.residuals(when).ravel() for part in touches.parts]
+    found, unit = [part.residuals(when).ravel() for part in touches.parts], touches.instrument.words.unit
     everything = np.concatenate(found)
     half = nice_ceiling(min(float(np.abs(everything).max()), BARS_REACH * spread(everything)))
     count = 2 * round(min(max(len(everything) ** (1 / 3), BINS[0] / 2), BINS[1] / 2) - 0.5) + 1
@@ -105,10 +105,10 @@ def _histogram(touches: Touches, when: When) -> Markup:
     return picture(
         touches.named(f"histogram-{when}"),
         f"{TITLES[when]}: share of rows by residual",
-        f"Histogram of {len(everything):,} residuals from {-half:g} to {half:g} mm, {beyond:,} of them beyond; "
-        f"median size {np.median(np.abs(everything)):.4f} mm.",
+        f"Histogram of {len(everything):,} residuals from {-half:g} to {half:g} {unit}, {beyond:,} of them beyond; "
+        f"median size {np.median(np.abs(everything)):.4f} {unit}.",
         panel.height,
-        axes(panel, "residual, mm", f"{TITLES[when]}: % of rows"),
+        axes(panel, f"residual, {unit}", f"{TITLES[when]}: % of rows"),
         bars(panel, edges, shares[0], f"bar {when}"),
         steps(panel, edges, shares[1], "outline held") if len(shares) > 1 else None,
         line(panel, (edges[:-1] + edges[1:]) / 2, curve, "expected") if len(curve) else None,
@@ -132,7 +132,7 @@ def row_plots(touches: Touches) -> Markup:
 
 
 def _by_row(touches: Touches, when: When) -> Markup:
-    count = len(touches.series)
+    count, unit = len(touches.series), touches.instrument.words.unit
     everything = np.concatenate([part.residuals(when).ravel() for part in touches.parts])
     largest = float(np.abs(everything).max())
     top = nice_ceiling(min(largest, REACH * spread(everything)))
@@ -163,9 +163,9 @@ def _by_row(touches: Touches, when: When) -> Markup:
     return picture(
         touches.named(f"rows-{when}"),
         f"{TITLES[when]}: residual of each row",
-        f"Residuals row by row in file order for {count} series; the largest is {largest:.4f} mm.",
+        f"Residuals row by row in file order for {count} series; the largest is {largest:.4f} {unit}.",
         panel.height,
-        axes(panel, order, f"{TITLES[when]}: residual, mm", x_ticks=names),
+        axes(panel, order, f"{TITLES[when]}: residual, {unit}", x_ticks=names),
         *(line(panel, np.array([k, k], float), np.array([-top, top]), "grid") for k in between),
         line(panel, np.array([0.0, count]), np.zeros(2), "zero"),
         *drawn,

@@ -123,11 +123,16 @@ class SpokenCamera(Camera):
     words = Words("distance in the picture", "px", "spots", "camera fitted alone", accuracy=True)
 
 
-def test_blocks_in_another_unit_are_fitted_and_spoken_of_in_it(ur5):
+def test_blocks_in_another_unit_are_fitted_and_spoken_of_in_it(ur5, tmp_path):
     problem = Problem(ur5, Camera())
     found = calibrate(problem, simulate(problem, samples=60, seed=1).samples, method="lm", reference=False)
     assert found.verdict.level != "do not use", found.verdict.words
     assert "px" in found.summary()
+    found.save(tmp_path)
+    page = (tmp_path / "report.html").read_text()
+    for words in ("residual, px", "Residual, px", " px, 0 of them beyond", "RMS of the fitted rows; before "):
+        assert words in page
+    assert "residual, mm" not in page.lower()
 
     class Inches(Camera):
         words = Words("distance in the picture", "in")
