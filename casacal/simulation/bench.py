@@ -19,7 +19,7 @@ from casacal.model.problem import Problem
 from casacal.model.robot import inside_limits, random_joints
 from casacal.model.unknown import Unknown
 from casacal.simulation.cell import Cell, Disturbances, Face, rectangles
-from casacal.simulation.touches import Draw, label_names, plane_coordinates
+from casacal.simulation.touches import Draw, drawn_together, label_names, plane_coordinates
 from casacal.values import Array, Index, Rows
 
 
@@ -86,6 +86,7 @@ def bench_of(
     model, instrument, robot, reached = problem.model, problem.instrument, problem.robot, random_tips(problem)
     local, nominals, frames = dict[str, Array](), dict[str, Array](), dict[str, Array]()
     z, c = [np.zeros((samples, 0))], [np.zeros((samples, 0))]
+    arm = drawn_together(problem, robot.parameters, cell.error_scale, rng)
     for key, unknown in problem.symbols.unknowns.items():
         of_rows: Sequence[str | None] = [None] * samples if unknown.per is None else labels[unknown.per]
         instances: Sequence[str | None] = [None]
@@ -96,7 +97,7 @@ def bench_of(
             place = stands(cell, label, spot(reached, None if _is_flat(unknown) else k))
             stands_at = instrument.stands(key, *place) if unknown.nominal is None else unknown.nominal
             nominals[name] = draw.nominals.get(name, stands_at)
-            drawn = cell.error_scale * unknown.start_stds * rng.normal(size=unknown.size)
+            drawn = arm[key] if key in arm else cell.error_scale * unknown.start_stds * rng.normal(size=unknown.size)
             local[name] = np.asarray(draw.known.get(name, drawn))
             if isinstance(unknown, Frame) and unknown.nominal is None:
                 frames[name] = np.array(ca.DM(unknown.at(ca.DM(nominals[name]), ca.DM(local[name]))))

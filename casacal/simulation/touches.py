@@ -13,7 +13,10 @@ import numpy as np
 
 from casacal.data.columns import Labels
 from casacal.errors import SimulationError
+from casacal.fit.kernel_rows import constraint_set, stated_prior
+from casacal.fit.slots import Slot
 from casacal.kernels.block_rows import Batch
+from casacal.model.constraint import Constraint
 from casacal.model.instrument import Instrument, Probe, readings_within
 from casacal.model.problem import Problem
 from casacal.model.robot import AXIS_WEIGHT, Robot, inside_limits, random_joints
@@ -195,7 +198,35 @@ def true_unknowns(problem: Problem, probe: Probe, error_scale: float, rng: np.ra
     """Local coordinates of what moves the tip, drawn from the prior (flat: `start_std`) times `error_scale`."""
     own = problem.instrument.unknowns
     unknowns = {**problem.robot.parameters, **{key: own[key] for key in probe.moves}}
-    return {key: error_scale * u.start_stds * rng.normal(size=u.size) for key, u in unknowns.items()}
+    return drawn_together(problem, unknowns, error_scale, rng)
+
+
+def drawn_together(
+    problem: Problem, unknowns: Mapping[str, Unknown], scale: float, rng: np.random.Generator
+) -> dict[str, Array]:
+    """True local coordinates by key, drawn from priors `scale` times as wide, as what is known of them together has it.
+
+    Correlated, about a certified quantity, and where ties and bounds are met: of these the nearest in units of priors.
+    unknowns: without labels.
+    """
+    drawn = {key: scale * unknown.start_stds * rng.normal(size=unknown.size) for key, unknown in unknowns.items()}
+    names = {each for key, unknown in unknowns.items() for each in (key, *unknown.component_names(key))}
+    known = [each for each in problem.constraints if names.issuperset(each.names)]
+    if not known or not scale:
+        return drawn
+    slots, first = list[Slot](), 0
+    for key, unknown in unknowns.items():
+        slots.append(Slot(key, unknown, None, np.asarray(unknown.nominal), first, datum=False))
+        first += unknown.size
+    x, stds = np.concatenate([*drawn.values()]), np.concatenate([unknown.start_stds for unknown in unknowns.values()])
+    if (prior := stated_prior(known, slots)) is not None:
+        every = [name for slot in slots for name in slot.unknown.names(slot.name)]
+        index = [every.index(name) for name in prior.names]
+        x[index] = prior.mean + np.linalg.cholesky(prior.covariance) @ x[index] / stds[index]
+    exact = constraint_set([each for each in known if isinstance(each, Constraint) and not each.std], slots, stds)
+    if exact is not None and (met := exact.restored(x)) is not None:
+        x = met
+    return {slot.key: x[slot.columns] for slot in slots}
 
 
 @dataclass(frozen=True)

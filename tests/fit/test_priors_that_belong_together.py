@@ -1,17 +1,20 @@
 """Figures and tests of priors that belong together: a joint covariance, a certificate, a tie."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from conftest import ROOT
 from scipy.stats import chi2
 
-from casacal import Problem, bind, calibrate, load_problem, plan
+from casacal import Problem, TrackedPoint, bind, calibrate, load_problem, plan, simulate
 from casacal.fit.lm import lm
 from casacal.model import between, certified, equal
 from casacal.shopfloor.known import LinearRows, known_before
 from casacal.shopfloor.session import Session
+from casacal.simulation import Disturbances
+from casacal.simulation.touches import drawn_together
 from casacal.uncertainty.moves import chance_of_move, common_scale, prior_moves, prior_scatter
 from casacal.uncertainty.priors import learned_priors
 from casacal.uncertainty.tip_error import planned_accuracy
@@ -138,3 +141,35 @@ def test_a_box_under_a_loss_errs_as_the_workspace(ur5, rows):
     motion = found.unjudged.motion
     plain = motion.arm.posterior(motion.arm.information(motion.x), motion.x)
     assert not np.allclose(plain, motion.covariance, rtol=0.02), "the loss says something else"
+
+
+@pytest.mark.parametrize("tracked", [False, True])
+def test_simulated_arms_keep_what_is_known_of_them(hsr, tracked):
+    robot = hsr.problem.robot
+    drawn = robot.parameters["a"].values
+    instrument, cell = (TrackedPoint(noise_std=0.03), None) if tracked else (hsr.problem.instrument, hsr.cell)
+
+    def true_lengths(known, seed, error_scale=1.0):
+        problem = Problem(robot, instrument, constraints=known)
+        disturbed = Disturbances(error_scale=error_scale) if cell is None else replace(cell, error_scale=error_scale)
+        return simulate(problem, disturbed, samples=20, seed=seed).local["a"][:2] + drawn[:2]
+
+    tie = (equal("tie", lambda p: p.a[1] - p.a[0] - 650.0),)
+    sure = (certified("sum", lambda p: p.a[0] + p.a[1], drawn[0] + drawn[1] + 1.5, std=0.02),)
+    plain = true_lengths((), 1)
+    for seed in (1, 2):
+        first, second = true_lengths(tie, seed)
+        assert second - first == pytest.approx(650.0, abs=1e-9)
+        assert sum(true_lengths(sure, seed)) == pytest.approx(drawn[0] + drawn[1] + 1.5, abs=0.08)
+    nearest = plain - np.array([-1, 1]) * (plain[1] - plain[0] - 650.0) / 2
+    assert true_lengths(tie, 1) == pytest.approx(nearest, abs=1e-6), "the nearest of what was drawn"
+    assert true_lengths(tie, 1, 0.0) == pytest.approx(drawn[:2]), "an arm as drawn is as drawn"
+
+
+def test_simulated_errors_go_together_as_their_covariance_says(hsr):
+    covariance = np.array([[0.49, 0.48], [0.48, 0.49]])
+    problem = hsr.problem.with_prior(covariance={("a1", "a2"): covariance})
+    rng, parameters = np.random.default_rng(0), hsr.problem.robot.parameters
+    found = np.array([drawn_together(problem, parameters, 2.0, rng)["a"][:3] for _ in range(4000)])
+    assert np.cov(found[:, :2].T) == pytest.approx(4 * covariance, rel=0.08)
+    assert abs(np.corrcoef(found.T)[0, 2]) < 0.06
