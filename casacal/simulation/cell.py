@@ -139,7 +139,7 @@ class Cell(Disturbances, Surroundings):
         flatness: peak-to-valley height of a smooth form error of each face; see `flatness_din_876`.
         flatness_reach: distance, in half widths of a face, over which heights are alike: the length of a Gaussian
             process of squared exponential covariance, without its plane. 0 for waves of first and second order.
-        compliance: sag of the tip under gravity, RMS over the samples.
+        compliance: sag of the tip under gravity, RMS over 120 touches of the cell.
         thermal: growth of the arm about its base from the first row to the last, parts of one: 3e-5 is 30 um for each
             metre. Soon at first, as 1 - exp(-3 t).
         dial_gain: standard deviation of the dial's gain error, parts of one, drawn once: every true way is 1 + gain

@@ -154,7 +154,7 @@ SETTLED = 10  # rounds in which an arm settles under its weight: each leaves a t
 class ArmErrors:
     """Errors of one arm.
 
-    waves: of its gears. compliance: sag over the samples, mm RMS. pull: move of the tip, mm RMS over the samples, of
+    waves: of its gears. compliance: sag over some touches, mm RMS. pull: move of the tip, mm^2 RMS over these, of
     joints that yield by J' of its height. thermal: growth from the first row of a session to the last, parts of one.
     """
 

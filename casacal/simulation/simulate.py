@@ -211,7 +211,7 @@ def touched_rows(
     else:
         joints, readings = postures.joints, postures.columns.get(probe.column or "", np.zeros(count))
     if cell.compliance > 0:
-        arm = replace(arm, compliance=cell.compliance, pull=weighed(touch, joints, readings))
+        arm = replace(arm, compliance=cell.compliance, pull=_pull(touch, probe, cell, draw, poses))
     sag = arm.sag(touch, joints, readings)
     came, pushed = ways(joints, plan.turn, cell.repeats, cell.approach, way_rng)
     scatter, lag = noise_rng.normal(size=(count, joints.shape[1])) * cell.joint_std, came * cell.backlash / 2
@@ -235,6 +235,16 @@ def touched_rows(
     file = draw.name if postures is None else postures.file
     rows = Samples(recorded, columns, labels, tuple(range(1, count + 1)), {}, file, draw.name)
     return rows if met.all() else rows.take(np.flatnonzero(met)), local, arm, dial
+
+
+WEIGHED = 120  # touches over which an arm's sag is as large as it is said to be, whatever is touched afterwards
+
+
+def _pull(touch: TouchingArm, probe: Probe, cell: Cell, draw: Draw, poses: Array | None) -> float:
+    """RMS move (mm^2) of the tip as joints yield, over touches of the arm's first session."""
+    plan, rng = SessionPlan.of(WEIGHED, len(cell.faces), 1), replace(draw, session=0).streams(2, of_the_arm=(0,))[1]
+    flat, plain = [None] * len(cell.faces), np.ones(WEIGHED)
+    return weighed(touch, *_Contact(touch, probe, cell, plan, np.zeros(WEIGHED), flat, plain).found(rng, poses))
 
 
 def _touch_errors(probe: Probe, cell: Cell, count: int, rng: np.random.Generator) -> tuple[float, Array, Array]:
