@@ -41,6 +41,7 @@ from casacal.tablet.work import OutdatedError, Work, Workplace, for_page
 from casacal.values import FrozenMapping
 from casacal.wording import mm
 
+pytestmark = pytest.mark.usefixtures("set_ups_of_few", "few_candidates")
 PLAIN = gauge("plain")
 TOKEN = "a-token-of-this-test"
 
@@ -53,6 +54,12 @@ def planned(hsr, tmp_path_factory):
     write_plan(folder / "plan.csv", made, hsr.problem, hsr.name)
     route = read_route(folder / "plan.csv", hsr.problem.layout())
     return folder / "plan.csv", World(hsr.problem, route, seed=6)
+
+
+@pytest.fixture
+def few_candidates(monkeypatch):
+    """The page plans among a tenth of the touches: what a plan is like is asked elsewhere."""
+    monkeypatch.setattr("casacal.tablet.work.POOL", 300)
 
 
 @pytest.fixture
