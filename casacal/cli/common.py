@@ -222,7 +222,11 @@ def program_table(path: str, options: argparse.Namespace, holds: str = "readings
         raise CasacalError(what, f"Name a CSV by --readings, with a column '{options.id}' of the targets' names")
     readings = read_any_table(options.readings)
     named = set(readings.column(options.id)) if options.id in readings.header else ()
-    return joined_tables(joint_table(read_program(path), named, options.id), readings, key=options.id)
+    program = read_program(path)
+    table = joint_table(program, named, options.id)
+    if program.puzzles and set(named) - set(table.column(options.id)):  # the reading's target may be what is not known
+        program.refuse_puzzles()
+    return joined_tables(table, readings, key=options.id)
 
 
 Read = TypeVar("Read")

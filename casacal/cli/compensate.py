@@ -182,7 +182,7 @@ def _tell(
     written: list[str],
 ) -> int:
     """Print what was done to a program, for an arm and that which it was taught on; 1 where moves stay as they are."""
-    from casacal.deployment.arm import cautions, column_notes
+    from casacal.deployment.arm import FLANGE_UNKNOWN, cautions, column_notes
     from casacal.deployment.programs import no_gain
 
     program, moves, left = corrected.program, list[dict[str, Any]](), list[dict[str, Any]]()
@@ -199,6 +199,8 @@ def _tell(
     care = no_gain(corrected.correction_mm[corrected.reached], corrected.expected_mm[corrected.reached])
     posed = any(target.kind == "pose" for target in program.targets)
     care += dict.fromkeys(words for arm in arms for words in cautions(arm, posed=posed))
+    if options.frame == "flange" and not all(arm.flange_known for arm in arms):
+        care.append(FLANGE_UNKNOWN.partition(":")[0])
     care += column_notes(arms[0], corrected.missing, ())
     joints = [abs(value) for target in program.targets if target.kind == "joints" for value in target.values]
     if program.language != "urscript" and 0 < max(joints, default=0.0) <= math.tau:

@@ -258,10 +258,12 @@ def _hidden_rows(stream: Any, file: str) -> set[int]:
 
 def text_of_cell(cell: Any) -> str:
     """A cell as one would type it; "" for a missing one (None, or the NaN, NaT and NA of pandas)."""
+    if cell is None:
+        return ""
     if isinstance(cell, (float, np.floating)):
         cell = float(cell)
         return "" if cell != cell else str(int(cell)) if cell.is_integer() and abs(cell) < 1e15 else repr(cell)
-    return "" if cell is None or type(cell).__name__ in ("NAType", "NaTType") else str(cell).strip()
+    return "" if type(cell).__name__ in ("NAType", "NaTType") else str(cell).strip()
 
 
 def table_of_frame(frame: Any, source: str = "DataFrame") -> Table:

@@ -53,7 +53,7 @@ def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
     errors = (error, math.nan if alone else found.tip.flange_expected_mm)
     tip, flange = ("not known" if math.isnan(each) else f"{each:.3f} {where}" for each in errors)
     if form != "zeros":  # which hold no more than a part of the correction, and say of how much
-        held = "" if form == "frame" else "with the tool as calibrated, which is not in this form; "
+        held = "" if form == "frame" else "with the tool as calibrated, which is no part of it; "
         lines.append(f"{MARK}expected tip error: {tip}; {held}small residuals on planes are not accuracy")
     if form not in ("zeros", "frame"):
         lines.append(f"{MARK}expected error of the flange, which this form holds: {flange}")

@@ -78,7 +78,7 @@ def table_of(file: str, block: Mapping[str, Any], rows: FileRows) -> DHTable:
             parallel=parallel,
             beta=tuple(beta[i] for i in parallel),
             conventions=conventions,
-            limited=any(name.startswith(("lower", "upper")) for _, row in rows for name in row),
+            limited=all(any(name.startswith(end) for name in row) for _, row in rows for end in ("lower", "upper")),
             **columns,
         )
     near = table.parallel_axes()

@@ -60,6 +60,9 @@ class ProgramRun(Value):
     why: Mapping[int, str]
 
 
+TWICE = "it is reached in two postures, by where the moves before stand: give each use a target of its own"
+
+
 def run_program(result: CalibratedArm, program: TaughtProgram, begin: Sequence[float] | None = None) -> ProgramRun:
     """The joint values at which a controller, which knows the nominal arm, takes the targets of a program.
 
@@ -81,8 +84,10 @@ def run_program(result: CalibratedArm, program: TaughtProgram, begin: Sequence[f
         if target.base is not None:
             flanges[i] = target.base @ program.form.pose(target.values) @ np.linalg.inv(tools[i])
     start = None if begin is None else np.asarray(begin, dtype=np.float64)
-    joints = controller_joints(arm, DIALECTS[program.language], program.targets, flanges, start)
+    dialect = DIALECTS[program.language]
+    joints, twice = controller_joints(arm, dialect, program.targets, program.moves, flanges, start)
     why = {i: words for i, target in enumerate(program.targets) if (words := _lost(program, arm, target, joints[i]))}
+    why |= {i: TWICE for i in twice if i not in why}
     known = np.array([i for i in range(len(joints)) if i not in why], dtype=np.intp)
     flanges[known] = _flanges(arm, joints[known])
     return ProgramRun(program, arm, joints, flanges, tools, why)
@@ -249,15 +254,18 @@ def _steered(
         expected = np.hypot(found.expected_mm, there.std)  # both arms err
         return found.joints, there.poses, found.outcomes, expected, {**there.missing, **found.missing}
     moved = run.arm.reach(*at, joints, steps=STEPS)
-    jumps, taken = np.abs(moved - joints).max(axis=1) > largest, run.arm.takes(moved, *at)
-    ended = [Outcome.SINGULAR if jump else Outcome.REACHED for jump in jumps]
-    ended = [each if good else Outcome.UNREACHABLE for each, good in zip(ended, taken, strict=True)]
+    way, taken = np.abs(moved - joints).max(axis=1), run.arm.takes(moved, *at)
+    beyond = [Outcome.LIMIT if limited else Outcome.UNREACHABLE for limited in run.arm.at_limit(moved, *at)]
+    ended = [Outcome.BEYOND if each > largest else Outcome.REACHED for each in way]
+    ended = [Outcome.SINGULAR if each > max(largest, LARGEST) else end for each, end in zip(way, ended, strict=True)]
+    ended = [end if good else lost for end, good, lost in zip(ended, taken, beyond, strict=True)]
     return moved, there.poses, ended, there.std, there.missing
 
 
 def _other_tools(result: CalibratedArm, run: ProgramRun, known: Which) -> dict[int, str]:
-    """Why some targets (M,) with a pose are not for the tip, by their index: those whose tool ends elsewhere."""
-    posed = known[[run.program.targets[i].base is not None for i in known.tolist()]]
+    """Why some targets (M,) whose tool is known are not for the tip, by index: those whose tool ends elsewhere."""
+    targets = (run.program.targets[i] for i in known.tolist())
+    posed = known[[each.base is not None or each.tool is not None for each in targets]]
     if not posed.size:
         return {}
     tips = predict(result, run.joints[posed], frame="tip", nominal=True).poses

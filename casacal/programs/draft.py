@@ -226,6 +226,7 @@ class Draft:
 
     def known(self, name: str) -> Array | None:
         """A frame that a joint target can do without."""
+        self.framed.add(name.lower())
         found = self.frames.get(name.lower())
         return None if isinstance(found, CasacalError) else found
 
@@ -239,11 +240,20 @@ class Draft:
             if not all(np.allclose(one, two, atol=1e-9) for one, two in pairs):  # type: ignore[arg-type]
                 what = f"'{target.name}' is reached with another tool or base than before: no one correction suits both"
                 raise CasacalError(what, "Give each use a target of its own")
+            if known.near != target.near:
+                what = f"'{target.name}' is reached from other joint values than before: no one correction suits both"
+                raise CasacalError(what, "Give each use a target of its own")
             self.posed.append(at)
         self.moves.append((at[0], self.line(*at), motion, key))
 
     def finished(self) -> TaughtProgram:
-        """The program."""
+        """The program; raises CasacalError for a tool or base of the options that it does not name."""
+        for kind, given, own in (("tool", self.given.tools, FLANGE), ("base", self.given.bases, WORLD)):
+            if strange := sorted(set(given) - self.framed - {own}):
+                fix = (
+                    f"Its names: {', '.join(sorted(self.framed)) or 'none'}; '{own}' moves where the controller has it"
+                )
+                raise CasacalError(f"The program names no {kind} '{strange[0]}'", fix)
         index = {key: i for i, key in enumerate(self.targets)}
         world, flange = self.given.bases.get(WORLD, np.eye(4)), self.given.tools.get(FLANGE, np.eye(4))
         targets = tuple(

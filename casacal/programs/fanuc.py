@@ -80,10 +80,10 @@ def _target(draft: Draft, block: re.Match[str], frames: dict[str, tuple[str, str
         if found[1] in parts:
             raise CasacalError(f"{found[1]} stands twice", NUMBERS)
         parts[found[1]] = (at + found.start(2), at + found.end(2))
-    if "J1" in parts:
-        return draft.joints(0, [span for key, span in parts.items() if key[0] == "J"], name, JOINT_DIGITS)
     if any(draft.number(0, span).value for each, span in parts.items() if each[0] == "E"):
         raise CasacalError(EXTERNAL, "Correct it by hand")
+    if "J1" in parts:
+        return draft.joints(0, [span for key, span in parts.items() if key[0] == "J"], name, JOINT_DIGITS)
     config, named = CONFIG.search(group[1]), FRAMES.search(group[1])
     if config is None or named is None:
         raise CasacalError("its UF, UT or CONFIG is not understood", "Write them as the controller does")

@@ -104,10 +104,10 @@ def _target(draft: Draft, file: int, name: str, parts: Mapping[str, Span]) -> Ta
     wanted = AXES if "A1" in parts else PARTS
     if missing := [each for each in wanted if each not in parts]:
         raise CasacalError(f"it leaves {missing[0]} as it is", "Write all six numbers")
-    if wanted is AXES:
-        return draft.joints(file, [parts[each] for each in AXES], name, JOINT_DIGITS)
     if any(re.fullmatch("E[1-6]", each) and draft.number(file, parts[each]).value for each in parts):
         raise CasacalError(EXTERNAL, "Correct it by hand")
+    if wanted is AXES:
+        return draft.joints(file, [parts[each] for each in AXES], name, JOINT_DIGITS)
     status, turn = (draft.number(file, parts[each]) if each in parts else None for each in "ST")
     for each in (status, turn):
         if each is not None and (not each.value.is_integer() or not 0 <= each.value < 64):

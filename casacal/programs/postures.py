@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from casacal.deployment.inverse_kinematics import PATIENCE, PosedArm
 from casacal.model.robot import AXIS_WEIGHT, random_joints
-from casacal.programs.program import Target
+from casacal.programs.program import ProgramMove, Target
 from casacal.programs.read import Dialect
 from casacal.values import Array
 
 BANK = 1 << 13  # random postures among which starts are looked for
 STARTS = (4, 16, 48)  # starts per pose and branch in each round: the next is for poses that found nothing
+SAME = 1e-3  # rad by which joint values of one posture differ, as they were found from one start and another
 BORDER = np.radians(0.05)  # how far beyond the border of its configuration a joint may stand: controllers round
 
 
@@ -64,12 +65,18 @@ def agreement(
 
 
 def controller_joints(
-    arm: PosedArm, dialect: Dialect, targets: Sequence[Target], flanges: Array, begin: Array | None = None
-) -> Array:
-    """Joint values (N, 6) of targets whose flange stands at (N, 4, 4); NaN where none has its configuration.
+    arm: PosedArm,
+    dialect: Dialect,
+    targets: Sequence[Target],
+    moves: Sequence[ProgramMove],
+    flanges: Array,
+    begin: Array | None = None,
+) -> tuple[Array, frozenset[int]]:
+    """Joint values (N, 6) of targets whose flange stands at (N, 4, 4), and which of them moves take in two postures.
 
-    Joint targets are themselves. Of postures that a configuration leaves open, that nearest to the joint values which a
-    target names (`near`) is taken, else to those of the target before, at first to where the program begins (6,).
+    NaN where none has its configuration. Joint targets are themselves. Of postures that a configuration leaves open,
+    that nearest to the joint values which a target names (`near`) is taken, else to those of the move before, at first
+    to where the program begins (6,).
     """
     found = np.full((len(targets), 6), np.nan)
     posed = [i for i, target in enumerate(targets) if target.kind == "pose"]
@@ -82,18 +89,22 @@ def controller_joints(
         return whole[agreement(dialect, whole, sides[of], config).all(axis=1)]
 
     choices = dict(zip(posed, _postures(arm, dialect, flanges[posed], fitting), strict=True))
-    last = begin
-    for i, target in enumerate(targets):
-        if target.kind == "joints":
-            found[i] = target.joints
+    last, twice = begin, set[int]()
+    for i in (move.target for move in moves):  # in which targets come in their order
+        if (target := targets[i]).kind == "joints":
+            taken = np.asarray(target.joints)
         else:
             beside = last if target.near is None else np.array(target.near)
-            found[i] = _nearest(arm, target, choices[i], beside, flanges[i])
-        last = found[i] if np.isfinite(found[i]).all() else last
+            taken = _nearest(arm, target, choices[i], beside, flanges[i])
+        if np.isnan(found[i]).all():
+            found[i] = taken
+        elif not np.allclose(found[i], taken, atol=SAME, equal_nan=True):
+            twice.add(i)
+        last = taken if np.isfinite(taken).all() else last
     rows = np.array([i for i in posed if np.isfinite(found[i]).all()], dtype=np.intp)
     if rows.size:  # they take their poses to a tolerance so far
         found[rows] = arm.reach(flanges[rows, :3, 3], flanges[rows, :3, :3], found[rows])
-    return found
+    return found, frozenset(twice)
 
 
 def _nearest(arm: PosedArm, target: Target, joints: Array, beside: Array | None, flange: Array) -> Array:

@@ -29,6 +29,7 @@ OTHERS = re.compile(
     rf"{WORD}(Trigg[JLC](?:IOs|DO)?|Search[LC]|Arc[LC]\w*|Spot[JLM]\w*|Disp[LC]|Paint[LC]|CapL|CSS\w+|EGMMove[LC]|"
     r"SetDataVal|CorrCon|EOffsOn|EOffsSet|PDispOn|PDispSet|Move(?:ExtJ|AbsJ|J|L|C)\w*)(?![\w:])"
 )
+LEFT_OPEN = re.compile(rf"{WORD}(Conf[LJ])\s*\\\s*Off(?!\w)")
 SHIFTS = re.compile(rf"{WORD}(?:PDispOn|PDispSet|EOffsOn|EOffsSet|(PDispOff|EOffsOff))(?![\w:])")
 NO_AXIS = 9e8  # 9E9 stands for an external axis that is not there
 MOTIONS: Mapping[str, tuple[Motion, ...]] = {"absj": ("joint",), "j": ("joint",), "l": ("linear",), "c": ("via", "end")}
@@ -54,6 +55,12 @@ def read(files: Mapping[str, str], given: Given) -> TaughtProgram:
                 if found[1].lower() in known:
                     known[found[1].lower()] = CasacalError(f"'{found[1]}' is set again at run time", NUMBERS)
     _refuse_changed_frames(draft, text)
+    for found in LEFT_OPEN.finditer(text):
+        with draft.understanding(0, found.start(1)):
+            what = (
+                f"after {found[1]}\\Off the controller may take another configuration than the one that a target states"
+            )
+            raise CasacalError(what, "Switch it on, or correct such moves by hand")
     shift = None
     for mark in sorted([*MOVES.finditer(text), *SHIFTS.finditer(text)], key=lambda mark: mark.start()):
         if mark.re is SHIFTS:
@@ -98,12 +105,11 @@ def _parts(tree: Tree, *counts: int) -> list[Tree]:
 def _target(draft: Draft, name: str, tree: list[Tree]) -> Target:
     """A robtarget, or a jointtarget where there are two parts."""
     first, *rest = _parts(tree, 4, 2)
-    outer = spans_of(rest[-1])
-    if len(rest) == 1:
-        return draft.joints(0, spans_of(first), name, JOINT_DIGITS)
-    external = [draft.number(0, span).value for span in outer]
+    external = [draft.number(0, span).value for span in spans_of(rest[-1])]
     if any(value and abs(value) < NO_AXIS for value in external):
         raise CasacalError(EXTERNAL, "Correct it by hand")
+    if len(rest) == 1:
+        return draft.joints(0, spans_of(first), name, JOINT_DIGITS)
     quadrants = [draft.number(0, span) for span in spans_of(rest[1])]
     values = [int(each.value) for each in quadrants if each.value.is_integer() and abs(each.value) < 100]
     if len(values) != 4 or len(quadrants) != 4 or not 0 <= values[3] <= 7:

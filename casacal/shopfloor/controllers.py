@@ -18,9 +18,10 @@ import urllib.error
 import urllib.request
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from http.client import HTTPMessage
+from http.client import HTTPException, HTTPMessage
 from http.cookiejar import CookieJar
 from typing import IO, Any
+from urllib.parse import quote
 
 import numpy as np
 
@@ -47,7 +48,7 @@ class Controller:
         """Joint values (6,; rad) now; raises CasacalError where the controller does not give them."""
         try:
             found = self.ask()
-        except (OSError, ValueError, KeyError, IndexError, TypeError, struct.error) as error:
+        except (OSError, HTTPException, ValueError, KeyError, IndexError, TypeError, struct.error) as error:
             said = harmless(" ".join(str(error).split()))[:200] or type(error).__name__
             what = f"The controller at {self.name} gives no joint values ({said})"
             raise CasacalError(what, "Check the link, or type the joint values with the reading") from None
@@ -180,7 +181,7 @@ def rws(address: str) -> Callable[[], Array]:
     newer = scheme == "https"
     query = "" if newer else "?json=1"
     accept = "application/hal+json;v=2.0" if newer else "application/json"
-    url = f"{base}rw/motionsystem/mechunits/{unit or 'ROB_1'}/jointtarget{query}"
+    url = f"{base}rw/motionsystem/mechunits/{quote(unit or 'ROB_1')}/jointtarget{query}"
     lock = threading.Lock()  # the opener counts challenges, and pages are asked from several threads
 
     def ask() -> Array:

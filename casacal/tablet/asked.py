@@ -115,6 +115,7 @@ def corrected(arm: CalibratedArm, path: Path, name: str, frame: Frame) -> tuple[
 
     name: what the file is called where it came from. frame: what goes where it was meant to go.
     """
+    from casacal.deployment.arm import FLANGE_UNKNOWN, cautions, column_notes
     from casacal.deployment.compensate import Outcome, compensate, read_targets
     from casacal.deployment.programs import no_gain, notes, rounding_of, text_of
     from casacal.programs.correct import compensate_program
@@ -129,7 +130,9 @@ def corrected(arm: CalibratedArm, path: Path, name: str, frame: Frame) -> tuple[
         said += no_gain(off, left)
         said.append(f"{counted(len(off), 'target')} corrected, by up to {mm(float(off.max(initial=0.0)))}")
         said.append(f"position error of the {frame} to expect: {mm(rms(left)) if len(left) else 'unknown'} RMS")
-        said += [] if arm.caution is None else [arm.caution]
+        posed = any(target.kind == "pose" for target in found.program.targets)
+        said += [*cautions(arm, posed=posed), *column_notes(arm, found.missing, ())]
+        said += [FLANGE_UNKNOWN] if frame == "flange" and not arm.flange_known else []
         texts = zip(found.program.paths, found.texts, strict=True)
         return [(Path(each).suffix, text.encode("latin-1")) for each, text in texts], said
     targets = replace(read_targets(path, arm.source), file=name)

@@ -95,7 +95,7 @@ def pose_accuracy(
     commanded, turns = _commanded(targets)
     rows = _Rows.of(_table(measured), [*commanded])
     notes = [f"{counted(rows.missing, 'line')} without a measurement"] if rows.missing else []
-    sets = {name: rows.of_point(name) for name in commanded if not name.startswith("L")}
+    sets = {name: rows.of_point(name) for name in commanded if not OF_PATH.fullmatch(name)}
     kept = {name: each for name, each in sets.items() if len(each) >= 2}
     if once := [name for name in sets if name not in kept]:
         notes.append(f"{listed(once)}: fewer than two measurements, so left out")
@@ -107,10 +107,12 @@ def pose_accuracy(
     criteria = dict[str, Criterion]()
     for name, each in kept.items():
         attained = rows.values[list(each.values())]
-        if frame is not None:
+        if frame is not None and kind == "base":
             off = attained @ frame[:3, :3].T + frame[:3, 3] - commanded[name]
             criteria[f"AP {name}"] = _criterion(accuracy, off)
             criteria |= {f"AP{'xyz'[k]} {name}": _criterion(np.mean, off[:, k]) for k in range(3)}
+        elif frame is not None:
+            criteria |= _fitted_accuracy(rows, commanded, kept, name)
         criteria[f"RP {name}"] = _criterion(repeatability, attained)
     if rows.turns is not None and frame is not None:
         criteria |= _orientations(rows, kept, frame[:3, :3], turns if in_base else {}, notes)
@@ -122,6 +124,9 @@ def pose_accuracy(
         asked = f"{CYCLES} cycles of poses and {PATH_CYCLES} of a path"
         notes.append(f"ISO 9283 asks for {asked}; some of these are of {min(short)}")
     return PoseAccuracy(FrozenMapping(criteria), kind, rows.missing, tuple(notes), rows.file)
+
+
+OF_PATH = re.compile(r"L\d*")  # points of the path, as `plan_cube` names them
 
 
 def accuracy(off: Array) -> float:
@@ -208,7 +213,7 @@ class _Rows:
 
     def paths(self) -> list[list[int]]:
         """Rows of each cycle of the path."""
-        rows = [k for k, point in enumerate(self.points) if point.startswith("L")]
+        rows = [k for k, point in enumerate(self.points) if OF_PATH.fullmatch(point)]
         cycles = [] if self.cycles is None else [self.cycles[k] for k in rows]
         return [[k for k, own in zip(rows, cycles, strict=True) if own == cycle] for cycle in dict.fromkeys(cycles)]
 
@@ -309,6 +314,28 @@ def _frame(
     return frame, "fitted"
 
 
+def _fitted_accuracy(
+    rows: _Rows, commanded: Mapping[str, Array], kept: Mapping[str, Mapping[str, int]], name: str
+) -> dict[str, Criterion]:
+    """AP of a point where the frame is fitted; its standard error by leaving out one cycle of all points at a time."""
+
+    def off(without: str | None) -> Array:
+        left = {point: [k for cycle, k in each.items() if cycle != without] for point, each in kept.items()}
+        means = np.array([rows.values[index].mean(axis=0) for index in left.values()])
+        if (frame := rigid_fit(means, np.array([commanded[point] for point in left]))) is None:
+            return np.full(4, np.nan)
+        away = frame[:3, :3] @ means[[*left].index(name)] + frame[:3, 3] - commanded[name]
+        return np.append(away, np.linalg.norm(away))
+
+    cycles = list(dict.fromkeys(cycle for each in kept.values() for cycle in each))
+    left = np.array([off(cycle) for cycle in cycles]) if len(cycles) > 2 else np.full((1, 4), np.nan)
+    whole, std, count = off(None), math.sqrt(len(cycles) - 1) * left.std(axis=0), len(kept[name])
+    names = (*(f"AP{axis} {name}" for axis in "xyz"), f"AP {name}")
+    found = zip(names, whole.tolist(), std.tolist(), strict=True)
+    made = {each: Criterion(value, error, count, "mm") for each, value, error in found}
+    return {names[3]: made.pop(names[3]), **made}
+
+
 def _orientations(
     rows: _Rows, kept: Mapping[str, dict[str, int]], turn: Array, meant: Mapping[str, Array], notes: list[str]
 ) -> dict[str, Criterion]:
@@ -351,8 +378,8 @@ def _distance(
 
 def _path(rows: _Rows, commanded: Mapping[str, Array], frame: Array, notes: list[str]) -> dict[str, Criterion]:
     """AT and RT (8.2, 8.3): where each cycle's path crosses the normal planes of the commanded line."""
-    line = np.array([place for name, place in commanded.items() if name.startswith("L")]).reshape(-1, 3)
-    if len(line) < 4 or not any(point.startswith("L") for point in rows.points):
+    line = np.array([place for name, place in commanded.items() if OF_PATH.fullmatch(name)]).reshape(-1, 3)
+    if len(line) < 4 or not any(OF_PATH.fullmatch(point) for point in rows.points):
         return {}
     along = (line[-1] - line[0]) / np.linalg.norm(line[-1] - line[0])
     planes, found = (line[1:-1] - line[0]) @ along, list[Array]()

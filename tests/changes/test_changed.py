@@ -323,7 +323,7 @@ def test_another_tool_is_named():
     assert found.ended == "changed", found.summary()
     assert found.causes[0].kind == "tool"
     assert "the position of the tool (or the zero of its dial)" in found.summary()
-    assert "--loosen tool" in found.summary()
+    assert "--free tool" in found.summary(), "which this problem holds"
     np.testing.assert_allclose(found.causes[0].shift, (0.7, -0.5, 0.3), atol=4 * found.causes[0].std.max())
 
 

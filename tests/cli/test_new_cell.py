@@ -144,7 +144,7 @@ def test_boxes_to_keep_out_of_are_kept_and_obeyed(made, tmp_path, capsys):
     ("words", "says"),
     [
         (["--keep-out", "0.4:0.6,0:1,0:1"], "Give mm in the base frame: 0.5 m are 500"),
-        (["--keep-out", "600:400,0:100,0:100"], "Give ranges of x, y and z in mm, each rising"),
+        (["--keep-out", "600:400,0:100,0:100"], "600:400,0:100,0:100 is empty. Give each range as LOW:HIGH in mm"),
         (["--keep-out", "-50:900,-100:100,-1:500"], "and the arm stands in it"),
         (["--keep-out", "50:inf,0:100,0:100"], "Give numbers of mm"),
         (["--keep-out", "50:nan,0:100,0:100"], "--keep-out is 50:nan,0:100,0:100. Give numbers of mm"),

@@ -84,8 +84,8 @@ def test_a_work_frame_of_one_of_several_instruments_stands_where_its_faces_meet(
 def test_a_tip_error_of_the_first_instrument_is_not_told_of_another(three):
     said = {**three.arm.document["discrepancy"], "corrected": ["sag"], "expected_rms_mm_without_corrections": 0.123}
     told = changed_in(three.arm, discrepancy=said)
-    assert "0.123" in " ".join(remark(for_instrument(told, "dial"), form="zeros"))
-    assert "0.123" not in " ".join(remark(for_instrument(told, "tracker"), form="zeros"))
+    assert "0.123" in " ".join(remark(for_instrument(told, "dial"), form="dh"))
+    assert "0.123" not in " ".join(remark(for_instrument(told, "tracker"), form="dh"))
 
 
 def test_a_tip_of_no_session_is_the_tools_point_to_predict_and_compensate_alike(hsr, tmp_path):

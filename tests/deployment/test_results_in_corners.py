@@ -67,7 +67,7 @@ def test_a_form_that_holds_the_flange_promises_the_flange(kept):
     for form in ("dh", "urdf", "ur", "c", "casadi"):
         said = "\n".join(remark(arm, form=form))
         assert f"expected error of the flange, which this form holds: {flange:.3f} mm" in said
-        assert "with the tool as calibrated, which is not in this form" in said
+        assert "with the tool as calibrated, which is no part of it" in said
     assert "expected" not in "\n".join(remark(arm, form="zeros"))
     assert "flange" not in "\n".join(remark(arm, form="frame"))
 
