@@ -122,8 +122,8 @@ def rounded(bound: BoundProblem) -> Iterator[Finding]:
         if effect > 0.5 * noise:
             step = max(steps[i] for i in coarse)
             shown = f"{math.degrees(step):g} degrees" if kind == "revolute" else f"{step:g} mm"
-            which, moved_by = ", ".join(str(i + 1) for i in coarse), f"moves the tip by up to {figures(effect, 2)} mm"
-            cause = f"joints {which} are written in steps of {shown}, which {moved_by}; "
+            which, blurs = ", ".join(str(i + 1) for i in coarse), f"blurs the residual by {figures(effect, 2)} mm RMS"
+            cause = f"joints {which} are written in steps of {shown}, which {blurs}; "
             cause += f"the stated noise is {figures(noise, 2)} mm"
             fix = "Log the joints with more digits, or declare the joint repeatability"
             yield Finding("error" if effect > 2 * noise else "warning", "joints rounded", cause, fix)

@@ -29,7 +29,7 @@ from casacal.deployment.arm import (
 )
 from casacal.errors import CasacalError, ProblemError, SamplesError, UnknownNameError
 from casacal.files import jsonable
-from casacal.fit.bound_problem import OTHERS, REPEATABILITY, BoundProblem
+from casacal.fit.bound_problem import OTHERS, REPEATABILITY, SHARED, BoundProblem
 from casacal.fit.least_squares import Conditioned, Gaussian
 from casacal.fit.lm import lm
 from casacal.fit.slots import make_slots
@@ -254,7 +254,9 @@ def with_memory(fresh: Fresh, arm: CalibratedArm) -> Fresh:
         return fresh
     whole, off = found
     places, bound, columns = {name: i for i, name in enumerate(off)}, fresh.bound, np.flatnonzero(fresh.known)
-    stays = [k for k, j in enumerate(columns) if bound.names[j] in places and bound.beside[j] not in ANEW]
+    own = {term.key for term in bound.problem.terms if term.lasting and fresh.other}  # of the other instrument
+    anew = {*ANEW, *own}
+    stays = [k for k, j in enumerate(columns) if bound.names[j] in places and bound.beside[j] not in anew]
     index = [places[bound.names[columns[k]]] for k in stays]
     covariance, at = fresh.covariance.copy(), fresh.at.copy()
     covariance[np.ix_(stays, stays)] = whole[np.ix_(index, index)]
@@ -402,7 +404,11 @@ def _noise_used(result: CalibratedArm, bound: BoundProblem, *, other: bool) -> d
         stated = float(np.median(bound.block.noise))
         return {OTHERS: math.sqrt(1 + max(excess, 0.0) / stated**2), **joints}
     factors = {name: used / stated for name, (stated, used) in pairs.items()}
-    return {OTHERS: math.sqrt(float(np.mean([factor**2 for factor in factors.values()]))), **factors, **joints}
+    if not joints and all(factor == 1 for factor in factors.values()):
+        return {}
+    shared = {SHARED: noise.shared} if noise.shared > 0 else {}
+    of_new_faces = {OTHERS: math.sqrt(float(np.mean([factor**2 for factor in factors.values()])))}
+    return {**of_new_faces, **factors, **joints, **shared}
 
 
 @dataclass(frozen=True)

@@ -126,8 +126,8 @@ def _length_for_tool(bound: BoundProblem, x: Array, covariance: Array, tool: Ind
         if not any(abs(x[j]) <= ANOTHER * bound.prior_std[k] for k in alike):
             continue
         keys = list(dict.fromkeys(slot.key for slot in bound.slots for k in alike if k in slot.columns))
-        held = bind(bound.problem.fix(name), *bound.samples).with_noise(bound.scale)
-        if other := as_good(held, {"tool": keys}, lm(bound)):
+        held = bind(bound.problem.fix(name), *bound.samples)
+        if other := as_good(held, {"tool": keys}, lm(bound.with_noise())):  # its rivals have the noise as stated
             cause = f"{name} moved by {x[j]:+.2f} mm; {other['tool']} fits as well, and puts the flange elsewhere"
             fix = f"Measure the tool from the flange; only if it is as stated, keep {name}"
             return [Finding("warning", f"tool or {name}", cause, fix)]

@@ -16,7 +16,7 @@ from casacal.calibration.calibration import Calibration
 from casacal.calibration.motion import Tried, tip_extremes
 from casacal.calibration.report_pictures import LOOKED_AT, MAPS, POSTURES, Touches, pictures_of, workspace_maps
 from casacal.calibration.result_json import image_words, parameter_rows, verdict_lines
-from casacal.calibration.verdict import WithVerdict
+from casacal.calibration.verdict import WithVerdict, joint_error
 from casacal.deployment.result import Level
 from casacal.effects.selection import VERY_STRONG
 from casacal.errors import CasacalError
@@ -346,7 +346,8 @@ def _noise(calibration: Calibration, noise: Mapping[str, Any]) -> str:
     used, stated = (" to ".join(dict.fromkeys((fixed(min(sizes)), fixed(max(sizes))))) for sizes in each)
     rad, loose = noise["joints_rad"], noise["loose_joint"]
     what = f"joint {loose} alone that does not repeat, by" if loose else "a joint repeatability of"
-    more = f" The pattern fits {what} {sized(rad, 'rad')}." if rad else ""
+    size = joint_error(calibration.fit.problem.robot, loose, rad) if loose else sized(rad, "rad")
+    more = f" The pattern fits {what} {size}." if rad else ""
     return f"Every figure uses the noise as found: {used} mm, stated {stated} mm.{more}"
 
 

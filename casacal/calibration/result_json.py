@@ -24,7 +24,7 @@ from casacal.deployment.result import SCHEMA, Verdict
 from casacal.effects.effect import effects_of
 from casacal.errors import CasacalError
 from casacal.files import sealed
-from casacal.fit.bound_problem import BoundProblem, repeatability, without_joints
+from casacal.fit.bound_problem import SHARED, BoundProblem, repeatability, without_joints
 from casacal.fit.least_squares import Result
 from casacal.model.problem_file import ProblemFile
 from casacal.model.term import Site
@@ -266,7 +266,8 @@ def noise_part(calibration: Calibration) -> dict[str, Any]:
     `without_joints_mm` is of what was used without that which the joints do not repeat, where that was told apart.
     """
     found, fit = calibration.noise, calibration.fit
-    scales = {"stated_mm": {}, "used_mm": fit.scale, "without_joints_mm": without_joints(fit.scale)}
+    used = {name: factor for name, factor in fit.scale.items() if name != SHARED}  # of one touch, not of some repeats
+    scales = {"stated_mm": {}, "used_mm": used, "without_joints_mm": without_joints(used)}
     noise = {key: fit.with_noise(scale).noise for key, scale in scales.items()}
     faces = {name: fit.residuals_of(rows) for name, rows in fit.faces.rows().items()}
     units = parts_of(fit)

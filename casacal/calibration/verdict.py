@@ -28,6 +28,8 @@ from casacal.fit.bound_problem import BoundProblem, by_face, repeatability
 from casacal.fit.kernel_rows import constraint_set
 from casacal.fit.methods import minimises
 from casacal.model.constraint import Constraint
+from casacal.model.robot import Robot
+from casacal.model.trace import PER_RAD
 from casacal.uncertainty.moves import prior_scatter
 from casacal.uncertainty.noise import is_usual
 from casacal.uncertainty.tip_error import spread_rms
@@ -205,7 +207,8 @@ def _noise(calibration: Calibration) -> Iterator[Doubt]:
         return
     joint, rad = repeatability(fit.scale)
     if joint:
-        said = f"{sentence(_loose(joint, rad))} Touches that see it count less, and every target errs by it as well."
+        loose = sentence(_loose(fit.problem.robot, joint, rad))
+        said = f"{loose} Touches that see it count less, and every target errs by it as well."
         yield Doubt(f"joint {joint} is loose", said, MEND)
     if is_usual(fit, NOISE_BAND[1]) or (joint and max(by_face(fit.scale).values(), default=1.0) <= NOISE_BAND[1]):
         return
@@ -235,9 +238,14 @@ def _noise(calibration: Calibration) -> Iterator[Doubt]:
     )
 
 
-def _loose(joint: int, rad: float) -> str:
+def joint_error(robot: Robot, joint: int, rad: float) -> str:
+    """A joint's error (rad, where `PER_RAD` mm of a sliding one are one) in words; `joint` is counted from 1."""
+    return sized(rad, "rad") if robot.axes[joint - 1].turns else sized(PER_RAD * rad, "mm")
+
+
+def _loose(robot: Robot, joint: int, rad: float) -> str:
     """A clause on a joint that alone does not repeat."""
-    errs = f"it errs by {sized(rad, 'rad')} (standard deviation) from touch to touch"
+    errs = f"it errs by {joint_error(robot, joint, rad)} (standard deviation) from touch to touch"
     return f"joint {joint} does not repeat: {errs}, as with play in its gear, which no calibration removes"
 
 
@@ -258,7 +266,7 @@ def broken(calibration: Calibration) -> str:
     worse = chance_worse(calibration.motion, calibration.workspace)
     if worse <= WORSE_IF_LOOSE and not unexplained(calibration):
         return ""
-    return f"{_loose(joint, rad)}, so that the tip may err more than as drawn; {MEND}"
+    return f"{_loose(calibration.fit.problem.robot, joint, rad)}, so that the tip may err more than as drawn; {MEND}"
 
 
 def _places_hardly_known(calibration: Calibration) -> Iterator[Doubt]:
@@ -329,9 +337,10 @@ def larger_than_any(calibration: Calibration) -> Doubt | None:
     if not found:
         return None
     named = listed([effect.words for effect in found])
+    sizes = listed([f"{effect.words} reached {effect.most:g} times the usual size" for effect in found])
     return Doubt(
         f"{named} reached the largest size that casacal accepts",
-        f"{capital(named)} reached {found[0].most:g} times the usual size, the largest that casacal accepts. Something "
+        f"{capital(sizes)}, the largest that casacal accepts. Something "
         "else probably errs as well, which no figure counts. What is corrected of it counts as an error all the same. "
         "casacal check looks for the cause; touches in other postures and on other faces separate the effects.",
     )

@@ -129,6 +129,9 @@ def _without_bad(look: Look, count: int, alarm: float, seed: int) -> tuple[Look,
     return look, [], places
 
 
+CARRIED = ("tool", "body")  # keys of what an instrument calls the thing on the flange
+
+
 def _cause(found: Explanation, look: Look, rows: Samples, places: Index) -> CauseFound:
     cause, fitted, figures = found.cause, found.fitted, (found.p, found.share, found.left)
     if cause is None or fitted is None:
@@ -136,10 +139,11 @@ def _cause(found: Explanation, look: Look, rows: Samples, places: Index) -> Caus
         return CauseFound(f"line {line}", "row", line, (), (), none, none, *figures)
     probe = look.fresh.bound.problem.instrument.probe
     dial = cause.kind == "tool" and probe is not None and probe.column is not None
-    tool = look.fresh.bound.problem.instrument.unknowns.get("tool")
-    held = cause.kind == "tool" and (tool is None or not tool.size)
+    own = look.fresh.bound.problem.instrument.unknowns
+    carried = next((own[key] for key in CARRIED if key in own), None)  # a dial that only touches has none
+    held = cause.kind == "tool" and (carried is None or not carried.size)
     said = (cause.name, cause.kind, 0, cause.labels, cause.units, fitted.shift, fitted.std)
-    return CauseFound(*said, *figures, dial, held)
+    return CauseFound(*said, *figures, dial, held, next((key for key in CARRIED if key in own), CARRIED[0]))
 
 
 def write_touches(path: str | Path, found: Change, layout: Layout, name: str) -> None:
@@ -163,7 +167,8 @@ class CauseFound(Value):
     off. line: of such a row. shift, std: by how much (k,), in `units`, along `labels`, with standard deviations; where
     rows see only some directions of it, what they see. p: chance of as much explained where nothing changed. share:
     part of the evidence. left: chance of what stays unexplained. dial: whether it is a tool with a dial, which shows a
-    zero that was set anew as a tool of another length. held: whether the problem holds that tool where it is.
+    zero that was set anew as a tool of another length. held: whether the problem holds that tool where it is. carried:
+    what it calls the tool.
     """
 
     name: str
@@ -178,6 +183,7 @@ class CauseFound(Value):
     left: float
     dial: bool = False
     held: bool = False
+    carried: str = "tool"
 
     def __post_init__(self) -> None:
         frozen((self.shift, self.std))
@@ -328,8 +334,10 @@ def _next(found: Change) -> str:
         moved = cause.name.split(".")
         standing = [name for name in found.judged.standing if cause.kind != "base" and name not in moved]
         words = ["casacal calibrate PROBLEM", found.judged.typed, "--prior-from", shlex.quote(found.judged.result)]
-        if cause.kind in ("joint", "tool"):
-            words += ["--free", "tool"] if cause.held else ["--loosen", cause.name.replace(" ", "")]
+        if cause.kind == "tool":
+            words += ["--free" if cause.held else "--loosen", cause.carried]
+        elif cause.kind == "joint":
+            words += ["--loosen", cause.name.replace(" ", "")]
         words += ["--standing", ",".join(standing)] if standing else []
         said = "find out what was done to the arm. Then take the old result as the prior of these rows "
         return f"{said}({' '.join(words)}) or calibrate again, and verify with fresh rows."

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casacal.data.columns import MANY_ROWS, Columns, Dimension, Labels
 from casacal.data.text import UNSHOWN, Table, read_table
@@ -212,6 +213,9 @@ def _labels(table: Columns, name: str) -> Labels:
 SHOWN = 10  # rows that a notebook shows
 
 
+STAYS = 1e-5  # rad or mm by which a joint moves that stays where it is
+
+
 @dataclass(frozen=True, eq=False)
 class Samples(Value):
     """Rows of measurements.
@@ -228,9 +232,13 @@ class Samples(Value):
     extra: Mapping[str, Array | tuple[str, ...]]
     file: str
     sha256: str
+    came: NDArray[np.int8] | None = field(default=None, repr=False, compare=False)
+    """As `ways`, where these rows are some of others."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", read_only(self.joints))
+        if self.came is not None and self.came.shape != self.joints.shape:
+            object.__setattr__(self, "came", None)
         columns, labels = self.columns.items(), self.labels.items()
         object.__setattr__(self, "columns", FrozenMapping({name: read_only(values) for name, values in columns}))
         object.__setattr__(self, "labels", FrozenMapping({name: Labels.of(values) for name, values in labels}))
@@ -261,6 +269,22 @@ class Samples(Value):
         )  # fmt: skip
         return html_table(repr(self), header, rows)
 
+    @property
+    def ways(self) -> NDArray[np.int8]:
+        """How each joint came to each row (N, n): 1 or -1 as it last grew or fell, 0 where it has not moved so far.
+
+        By the order of lines, over all rows of the file, also those that were not taken.
+        """
+        if self.came is not None:
+            return self.came
+        order = np.argsort(np.asarray(self.lines), kind="stable")
+        steps = np.diff(self.joints[order], axis=0, prepend=self.joints[order[:1]])
+        moved = np.where(np.abs(steps) > STAYS, np.arange(len(order))[:, None], 0)
+        last = np.maximum.accumulate(moved, axis=0)  # a joint that stays lies on the side on which it lay
+        found = np.zeros(self.joints.shape, dtype=np.int8)
+        found[order] = np.sign(np.take_along_axis(np.where(moved > 0, steps, 0.0), last, axis=0))
+        return found
+
     def take(self, rows: Sequence[int] | Index) -> Samples:
         """Return the given rows, in the given order, with the same provenance."""
         index, lines = np.asarray(rows, dtype=np.intp), self.lines
@@ -272,7 +296,8 @@ class Samples(Value):
         columns = {name: values[index] for name, values in self.columns.items()}
         labels = {name: values.take(index) for name, values in self.labels.items()}
         extra = taken_from(self.extra, index)
-        return Samples(self.joints[index], columns, labels, kept, extra, self.file, self.sha256)
+        came = self.ways[index] if self.came is not None or len(index) < len(self) else None
+        return Samples(self.joints[index], columns, labels, kept, extra, self.file, self.sha256, came)
 
     @staticmethod
     def of_joints(joints: Array) -> Samples:

@@ -101,7 +101,8 @@ class FaceNoise(Value):
 class NoiseFound(Value):
     """Noise over stated noise with its 95 % interval, noise by face, and joint repeatability, rad.
 
-    loose_joint: the number of the joint that alone does not repeat, from 1; 0 where all are alike.
+    loose_joint: the number of the joint that alone does not repeat, from 1; 0 where all are alike. shared: the part of
+    the noise's variance that repeats of a touch have in common.
     """
 
     ratio: float
@@ -110,6 +111,7 @@ class NoiseFound(Value):
     joints_rad: float
     loose_joint: int
     by_face: Mapping[str, FaceNoise]
+    shared: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -169,11 +169,9 @@ class Backlash(ByColumns):
         """Signs of the steps from row to row, none known of the first; or what the samples say."""
         if self.columns_of:
             return self.told(site, rows.samples)
-        order = np.argsort(np.asarray(rows.samples.lines), kind="stable")
-        ways = np.zeros((len(order), rows.samples.joints.shape[1] + 1))
-        ways[order[1:], :-1] = np.sign(np.diff(rows.samples.joints[order], axis=0))
-        ways[order[:1], -1] = 1.0
-        return dict(zip(self.columns(site), ways.T, strict=True))
+        ways = rows.samples.ways
+        first = (ways == 0).all(axis=1)  # nothing has moved yet
+        return dict(zip(self.columns(site), (*ways.T.astype(np.float64), first.astype(np.float64)), strict=True))
 
     def joints(self, here: Here) -> Expression:
         """Joint deflections -u sign(approach), or anything within the backlash where that is not known."""

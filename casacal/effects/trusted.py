@@ -42,6 +42,7 @@ class TrustedConstants(Effect):
     doubt: float = 1.0
 
     moves = False
+    lasting = True
     key = "trusted"
     words = "constants of the instrument"
 
@@ -110,6 +111,8 @@ class FocalLength(Effect):
 
     size: float = 5e-4
     doubt: float = 4.0
+
+    lasting = True
 
     moves = False
     most = 20.0

@@ -19,13 +19,13 @@ from casacal.values import Array
 class ArmAlone(Conditioned):
     """A bound problem in the unknowns (s,) of its geometry; those of terms are marginalised at `at` (n,).
 
-    With `motion`, unknowns of terms that move the tip are kept too.
+    With `motion`, unknowns of terms that move the tip are kept too, and of those that last from session to session.
     """
 
     whole: BoundProblem
 
     def __init__(self, whole: BoundProblem, at: Array, *, motion: bool = False) -> None:
-        kept = {term.key for term in whole.problem.terms if term.moves} if motion else set()
+        kept = {term.key for term in whole.problem.terms if term.moves or term.lasting} if motion else set()
         out = np.array([bool(key) and key not in kept for key in whole.beside], dtype=bool)
         super().__init__(whole, ~out, at, out=out)
         self.problem, self.blocks, self.slots = whole.problem, whole.blocks, whole.slots
@@ -65,7 +65,7 @@ def arm_alone(bound: BoundProblem, x: Array, *, motion: bool = False) -> tuple[A
 
 
 def moving(bound: BoundProblem, x: Array) -> tuple[ArmProblem, Array]:
-    """Problem in all unknowns that move the tip, those of terms too, others marginalised at x (n,); its part of x."""
+    """Problem in all unknowns that move the tip, or last, those of terms too, at x (n,), others marginalised; its x."""
     return arm_alone(bound, x, motion=True)
 
 

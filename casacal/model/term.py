@@ -136,6 +136,8 @@ class Term(Portable, ABC):
     """Value of its columns at postures that are no rows, where the tip is asked for."""
     moves: ClassVar[bool] = False
     """Whether it moves the tip itself, alike for all instruments, or only what one of them reads of it."""
+    lasting: ClassVar[bool] = False
+    """Whether an instrument errs by it alike in every session, as by the gain of its dial."""
 
     @property
     @abstractmethod
