@@ -26,7 +26,7 @@ from casacal.fit.least_squares import Result
 from casacal.model.problem import Problem
 from casacal.model.problem_file import ProblemFile
 from casacal.uncertainty.fresh_rows import chance
-from casacal.values import FrozenMapping, Value
+from casacal.values import FrozenMapping, Value, as_given
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +136,9 @@ def earlier(
     where the rows are those that it was calibrated from.
     """
     for what, names in (("to loosen", loosen), ("of what has not moved", standing)):
-        if isinstance(names, str):
-            raise CasacalError(f"Got the text '{names}' as the list {what}", f"Give ('{names}',)")
+        if isinstance(names, str) or not isinstance(names, Collection) or not all(isinstance(n, str) for n in names):
+            given = f"the text '{names}'" if isinstance(names, str) else as_given(names)
+            raise CasacalError(f"Got {given} as the list {what}", "Give names, such as ['joint3']")
     arm, robot = arm_from(result, "the earlier result"), source.problem.robot
     if (words := arm.denial) is not None:
         fix = "Mend what the verdict names, and calibrate again"

@@ -27,7 +27,7 @@ from casacal.deployment.arm import (
     named_covariance,
     with_effects,
 )
-from casacal.errors import CasacalError, ProblemError, SamplesError, UnknownNameError
+from casacal.errors import CasacalError, ProblemError, SamplesError, UnknownNameError, came
 from casacal.files import jsonable
 from casacal.fit.bound_problem import OTHERS, REPEATABILITY, SHARED, BoundProblem
 from casacal.fit.least_squares import Conditioned, Gaussian
@@ -524,8 +524,8 @@ def opened(
     standing: Collection[str],
 ) -> Opened:
     """Read a result and the fresh rows that judge it; raises CasacalError as `verify` does."""
-    if isinstance(standing, str):
-        raise CasacalError(f"Got the text '{standing}' as the list of what has not moved", f"Give ['{standing}']")
+    if isinstance(standing, str) or not isinstance(standing, Collection):
+        raise CasacalError(f"Got {came(standing)} as the list of what has not moved", "Give names, such as ['floor']")
     found = arm_from(result, "the result")
     if problem is None:
         arm, other = for_instrument(found, measured_by(found, samples, instrument)), None

@@ -16,7 +16,7 @@ from casacal.calibration.fresh import Judged, Opened, opened, with_memory
 from casacal.changes.explain import SURE, UNEXPLAINED, Explanation, Look, contenders, explanations, telling
 from casacal.data.samples import Layout, Samples
 from casacal.deployment.arm import CalibratedArm
-from casacal.errors import CasacalError, SamplesError
+from casacal.errors import CasacalError, SamplesError, came
 from casacal.files import MADE, write_text
 from casacal.model.problem import Problem
 from casacal.model.problem_file import ProblemFile
@@ -66,6 +66,8 @@ def changed(
 
     """
     case = opened(result, samples, problem=problem, instrument=instrument, standing=standing)
+    if not isinstance(drift, (Mapping, type(None))):
+        raise CasacalError(f"Got {came(drift)} as what may have drifted", 'Give sizes by name: {"theta": 2e-5}')
     return looked(case, standing, drift or {}, alarm=alarm, touches=touches, seed=seed)[0]
 
 
