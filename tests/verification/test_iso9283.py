@@ -192,6 +192,32 @@ def test_pose_accuracy_falls_to_what_compensation_leaves(plan, ur5, truth):
     assert abs(value(after, "AD")) < 0.02 < abs(value(before, "AD"))
 
 
+def test_the_error_of_a_fitted_accuracy_is_what_the_same_test_scatters_by():
+    """Cycles that drift together are drawn along by the fitted frame; points that scatter each by itself are not."""
+
+    def drifting(seed, drift, std):
+        rows = visited(seed, 12, std)
+        together = np.random.default_rng((seed, 1)).normal(0, drift, (12, 3))[rows["cycle"].to_numpy() - 1]
+        return rows.assign(
+            **dict(zip(("x_mm", "y_mm", "z_mm"), (rows.iloc[:, 2:].to_numpy() + together).T, strict=True))
+        )
+
+    names = ("APx P1", "APy P3", "APz P5")
+    for drift, std in ((0.2, 0.02), (0.0, 0.1)):
+        found = [pose_accuracy(POINTS, drifting(seed, drift, std)).criteria for seed in range(60)]
+        for name in names:
+            scatter = np.std([each[name].value for each in found])
+            said = math.sqrt(np.mean([each[name].std ** 2 for each in found]))
+            assert said == pytest.approx(scatter, rel=0.35)
+
+
+def test_points_of_ones_own_may_begin_with_any_letter():
+    """L followed by a number is a place of the path, as `plan_cube` names them."""
+    own = dict(zip(("A", "B", "LEFT", "D", "E"), POINTS.values(), strict=True))
+    found = pose_accuracy(own, visited(3, points=own, names=[*own]), in_base=True)
+    assert {"AP LEFT", "RP LEFT"} <= set(found.criteria)
+
+
 def test_the_path_is_judged_in_its_normal_planes():
     """A lag along the line counts for nothing, and what bows away from it in full."""
     line = {f"L{k}": np.array([800, -200, 300]) + np.array([-400, 400, 400]) * (k - 1) / 10 for k in range(13)}
