@@ -187,17 +187,16 @@ def _tell(
 
     program, moves, left = corrected.program, list[dict[str, Any]](), list[dict[str, Any]]()
     done = [move for move in program.moves if corrected.reached[move.target]]
+    numbers = {"correction_mm": corrected.correction_mm, "left_mm": corrected.left_mm}
+    numbers |= {"correction_deg": corrected.correction_rad * math.degrees(1), "expected_mm": corrected.expected_mm}
     for move in sorted(done, key=lambda move: -corrected.correction_mm[move.target]):
-        i = move.target
-        moves.append({"line": move.line, "motion": move.motion, "target": program.targets[i].name})
-        moves[-1] |= {"correction_mm": corrected.correction_mm[i], "left_mm": corrected.left_mm[i]}
-        moves[-1] |= {"correction_deg": math.degrees(corrected.correction_rad[i])}
-        moves[-1] |= {"expected_mm": corrected.expected_mm[i]}
+        said_of = {"line": move.line, "motion": move.motion, "target": program.targets[move.target].name}
+        moves.append(said_of | {name: float(values[move.target]) for name, values in numbers.items()})
     lost: list[tuple[Target | Puzzle, str]] = [(each, each.what) for each in program.puzzles]
     lost += [(program.targets[i], f"'{program.targets[i].name}': {why}") for i, why in corrected.why.items()]
     left += [{"line": at.line, "file": program.paths[at.file], "why": why} for at, why in lost]
-    care = no_gain(corrected.correction_mm[corrected.reached], corrected.expected_mm[corrected.reached])
     posed = any(target.kind == "pose" for target in program.targets)
+    care = no_gain(corrected.correction_mm[corrected.reached], corrected.expected_mm[corrected.reached])
     care += dict.fromkeys(words for arm in arms for words in cautions(arm, posed=posed))
     if options.frame == "flange" and not all(arm.flange_known for arm in arms):
         care.append(FLANGE_UNKNOWN.partition(":")[0])
