@@ -204,12 +204,8 @@ def _tell(
     joints = [abs(value) for target in program.targets if target.kind == "joints" for value in target.values]
     if program.language != "urscript" and 0 < max(joints, default=0.0) <= math.tau:
         care.append("warning: no joint value is larger than 6.3 degrees: are they radians?")
-    found = {
-        "moves": moves,
-        "left": left,
-        "unused": list(program.unused),
-        "diff": corrected.diff if options.diff else None,
-    }
+    diff = corrected.diff if options.diff else None
+    found = {"moves": moves, "left": left, "unused": list(program.unused), "diff": diff}
     largest, missed = (
         f"{figures(float(values[corrected.reached].max(initial=0.0)), 2)} mm"
         for values in (corrected.correction_mm, corrected.left_mm)
