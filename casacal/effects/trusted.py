@@ -112,8 +112,6 @@ class FocalLength(Effect):
     size: float = 5e-4
     doubt: float = 4.0
 
-    lasting = True
-
     moves = False
     most = 20.0
     key = "focal"

@@ -203,7 +203,7 @@ def test_effects_taken_out_leave_the_information_of_the_dense_formula(hsr, clean
     bound = bind(with_kit(hsr.problem), clean)
     j = bound.jacobian(bound.x0)
     effects = np.array([bool(key) for key in bound.beside])
-    moves = {effect.key for effect in bound.problem.terms if effect.moves}
+    moves = {effect.key for effect in bound.problem.terms if effect.moves or effect.lasting}
     moving_too = np.array([key in moves for key in bound.beside])
     for view, out in ((arm_alone(bound, bound.x0)[0], effects), (moving(bound, bound.x0)[0], effects & ~moving_too)):
         b = j[:, out] * bound.prior_std[out]

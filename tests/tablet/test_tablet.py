@@ -901,7 +901,7 @@ def test_the_tip_is_not_corrected_for_another_tool(calibrated):
     turn = Rotation.from_matrix(place[:3, :3]).as_rotvec()
     pose = ", ".join(f"{value:.6f}" for value in [*place[:3, 3] / 1000, *turn])
     text = f"set_tcp(p[0,0,0.04,0,0,0])\n{SCRIPT}movel(p[{pose}])\n"
-    with pytest.raises(CasacalError, match=r"welding\.script, line 3.*its tool ends \d.*Correct the flange"):
+    with pytest.raises(CasacalError, match=r"welding\.script, line 2.*its tool ends 40.*Correct the flange"):
         hand_over(work, "tip", welding_script=text)
     assert "corrected.script" in hand_over(work, "flange", welding_script=text)[0]
 
