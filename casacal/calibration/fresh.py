@@ -524,7 +524,9 @@ def opened(
     standing: Collection[str],
 ) -> Opened:
     """Read a result and the fresh rows that judge it; raises CasacalError as `verify` does."""
-    if isinstance(standing, str) or not isinstance(standing, Collection):
+    if isinstance(standing, str):
+        raise CasacalError(f"Got the text '{standing}' as the list of what has not moved", f"Give ['{standing}']")
+    if not isinstance(standing, Collection):
         raise CasacalError(f"Got {came(standing)} as the list of what has not moved", "Give names, such as ['floor']")
     found = arm_from(result, "the result")
     if problem is None:

@@ -302,7 +302,8 @@ def _discrepancy(calibration: Calibration) -> dict[str, Any] | None:
     ]
     at, of_arm = dict(zip(fit.names, calibration.result.x.tolist(), strict=True)), effect_keys(motion.arm)
     pairs = zip(motion.arm.names, of_arm, strict=True)
-    unknowns = [{"name": name, "effect": effect, "value": at[name]} for name, effect in pairs if effect]
+    moving = ((name, effect) for name, effect in pairs if effect and moves[effect])
+    unknowns = [{"name": name, "effect": effect, "value": at[name]} for name, effect in moving]
     names, off = list(motion.arm.names), np.zeros(motion.x.size) if motion.off is None else motion.off
     denied = bool(np.isnan(motion.covariance).any())
     estimate = [at[name] for name in names]

@@ -444,10 +444,11 @@ def verify(
 def _judged(case: Opened, standing: tuple[str, ...], tolerance: float | None, risk: float) -> Verification:
     """All figures of a verification."""
     anew, freedom, words = case.fresh(standing), case.noise_freedom, case.source.problem.instrument.words
-    memory = with_memory(anew, case.arm)
+    memory, lasting = with_memory(anew, case.arm), {term.key for term in anew.bound.problem.terms if term.lasting}
     # of geometry and effects together it is known where they are, and the arm as it is used is elsewhere
-    away = (memory.at - anew.at)[anew.known]
-    fresh = replace(anew, covariance=memory.covariance + np.outer(away, away))
+    at = np.where([key in lasting for key in anew.bound.beside], memory.at, anew.at)
+    away = (memory.at - at)[anew.known]
+    fresh = replace(anew, at=at, covariance=memory.covariance + np.outer(away, away))
     bound, rows, arm = fresh.bound, fresh.linear, fresh.of_arm
     # slopes by the arm's unknowns, in units of their priors (1 mm, 1 mrad if flat); priors of own unknowns have none
     scaled = np.zeros((len(rows.residual), arm.size))

@@ -236,8 +236,10 @@ def test_fresh_rows_of_an_arm_that_sags_are_expected_where_they_are(sagging, tmp
     fresh = simulate(source.problem, cell, samples=60, seed=1).samples  # the same arm, other touches
     assert verify(load(tmp_path), fresh).kept
     result = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
-    for row in result["discrepancy"]["unknowns"]:
+    part = result["discrepancy"]
+    for row in part["unknowns"]:
         row["value"] = -row["value"]
+        part["estimate"][part["covariance_of"].index(row["name"])] *= -1
     (tmp_path / "result.json").write_text(json.dumps(sealed(result)), encoding="utf-8")
     assert not verify(load(tmp_path), fresh).kept
 

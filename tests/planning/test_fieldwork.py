@@ -418,7 +418,7 @@ def test_all_of_it_from_the_command_line(tmp_path, capsys):
         (["--after", samples, "--loose", "theta4=-1"], "is no standard deviation"),
         (["--after", samples, "--loose", "nothing=1"], "'nothing'"),
         (["--keep-out", "1:2"], "is not X0:X1"),
-        (["--keep-out", "2:1,0:1,0:1"], "each rising"),
+        (["--keep-out", "2:1,0:1,0:1"], "is empty"),
         (["--program", "basic"], "no language of programs named 'basic'"),
         (["--criterion", "x"], "no criterion named"),
         (["--retreat", "-3"], "--retreat is -3"),
