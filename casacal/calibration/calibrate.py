@@ -120,14 +120,15 @@ def calibrate(
     single = Measurements.of(rows if since is None else since.opened.rows).map(without_copies)
     fitted, held = split_each(single, holdout, seed, holdout_by, [each.groups for each in source.problem.instruments])
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a status says what is not finite
-        chosen_rows = single.take(fitted) if held.size else single
+        taken = single.take(fitted) if held.size else single
         set_aside, find_noise, kit = outliers == "set aside" and loss is None, noise == "found", discrepancy == "kit"
         if since is not None:
-            fit, bare, aside = since.bound(chosen_rows.sets[0], set_aside, find_noise, kit, backend, threads)
+            fit, bare, aside = since.bound(
+                taken.sets[0], set_aside=set_aside, noise=find_noise, kit=kit, backend=backend, threads=threads
+            )
         else:
             kit = kit and loss is None and not (name in METHODS and METHODS[name].parameters_only)
-            settings = (set_aside, find_noise, kit, loss, backend, threads)
-            fit, bare, aside = _from_drawing(source.problem, chosen_rows, *settings)
+            fit, bare, aside = _from_drawing(source.problem, taken, set_aside, find_noise, kit, loss, backend, threads)
         if not source.problem.terms and any(isinstance(each, LinkSag) for each in fit.problem.terms):
             source = replace(source, problem=with_link_kit(source.problem))  # a result names effects that are not usual
         heldout = bind_further(fit, *single.take(held).sets) if held.size else None
@@ -136,9 +137,8 @@ def calibrate(
         result = estimate(run, name, fit, seed, loss, progress)
         solved = time.perf_counter()
         _LOG.info("%s: %s Cost %.10g after %d steps", name, result.message, result.cost, result.steps)
-        before = plane_only(fit)
         tried = tried_corrections(fit, result) if since is None else since.result.tried(fit, result)
-        checked = _check(fit, name, result, solver) if solver else None
+        before, checked = plane_only(fit), _check(fit, name, result, solver) if solver else None
     seconds = {"build": built - began, "solve": solved - built, "total": time.perf_counter() - began}
     found = (name, seed, rows, fit, heldout, result, before, checked, seconds, source, aside, holdout_by, tried, bare)
     return Calibrated(*found, None if since is None else since.result)

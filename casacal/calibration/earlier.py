@@ -82,6 +82,7 @@ class RowsSince:
     def bound(
         self,
         samples: Samples,
+        *,
         set_aside: bool,
         noise: bool,
         kit: bool,

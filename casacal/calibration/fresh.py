@@ -532,7 +532,8 @@ def opened(
     if problem is None:
         arm, other = for_instrument(found, measured_by(found, samples, instrument)), None
     else:
-        arm, other = for_instrument(found), _measuring(problem_from(problem).problem, instrument)
+        arm, other = for_instrument(found), problem_from(problem).problem
+        other = other if instrument is None else other.measured_by(instrument)
     source, robot = arm.source, arm.source.problem.robot
     if other is not None:  # the result's arm with another problem's instrument
         if not same_arm(robot, other.robot):
@@ -540,14 +541,6 @@ def opened(
             raise CasacalError(what, "Give a problem whose robot is that of the calibration, parameter by parameter")
         source = ProblemFile.of(Problem(robot, other.instrument, terms=arm.source.problem.terms))
     return fresh_among(arm, source, samples_of(samples, source, 0), other=problem is not None)
-
-
-def _measuring(problem: Problem, name: str | None) -> Problem:
-    """A problem with the one of its instruments that took fresh rows; raises CasacalError where that is open."""
-    if name is None and len(problem.instruments) > 1:
-        fix = f"Name the one that took the rows: instrument='{problem.names[0]}', or --instrument {problem.names[0]}"
-        raise CasacalError(f"The problem has several instruments: {', '.join(problem.names)}", fix)
-    return problem if name is None else problem.measured_by(name)
 
 
 def measured_by(arm: CalibratedArm, samples: Any, instrument: str | None) -> str | None:

@@ -324,15 +324,14 @@ def _figures(calibration: WithVerdict) -> list[tuple[str, str, str]]:
         words = f"RMS over the workspace, apart from the position of the base; before {mm(drawn)}"
         expected = ("Expected tip error", mm(now), words)
     unit = calibration.fit.problem.words.unit
-    shown, before_it = (mm(each["rmse_mm"], 4).replace("mm", unit) for each in (left, was))
-    residual = f"RMS of the {where}; before {before_it}"
+    residual = f"RMS of the {where}; before {fixed(was['rmse_mm'])} {unit}"
     agreement, checked = "not run", "nothing checked"
     if reference is not None:
         checked, agreement = "on", f"{reference.solver.upper()} {'agrees' if reference.agrees else 'differs'}"
     minimum = f"{checked} the minimum; rank {found.rank} of {count(found.unknowns, 'unknown')}"
     return [
         expected,
-        ("Residual: not accuracy", shown, residual),
+        ("Residual: not accuracy", f"{fixed(left['rmse_mm'])} {unit}", residual),
         ("Known from samples", f"{known} of {len(free)}", "parameters; the others depend on the prior"),
         ("Second solver", agreement, minimum),
     ]

@@ -279,6 +279,7 @@ def noise_part(calibration: Calibration) -> dict[str, Any]:
         "high": found.high,
         "repeats": None if found.repeats is None else asdict(found.repeats),
         **dict(zip(("loose_joint", "joints_rad"), repeatability(fit.scale), strict=True)),
+        "shared": fit.scale.get(SHARED, 0.0),
         "by_face": {
             name: {key: float(np.median(each[rows])) for key, each in noise.items()}
             | ({} if units.get(name, "mm") == "mm" else {"unit": units[name]})  # of what is no length

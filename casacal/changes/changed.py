@@ -142,10 +142,10 @@ def _cause(found: Explanation, look: Look, rows: Samples, places: Index) -> Caus
     probe = look.fresh.bound.problem.instrument.probe
     dial = cause.kind == "tool" and probe is not None and probe.column is not None
     own = look.fresh.bound.problem.instrument.unknowns
-    carried = next((own[key] for key in CARRIED if key in own), None)  # a dial that only touches has none
-    held = cause.kind == "tool" and (carried is None or not carried.size)
+    carried = next((key for key in CARRIED if key in own), CARRIED[0])
+    held = cause.kind == "tool" and not (carried in own and own[carried].size)  # also where it has none
     said = (cause.name, cause.kind, 0, cause.labels, cause.units, fitted.shift, fitted.std)
-    return CauseFound(*said, *figures, dial, held, next((key for key in CARRIED if key in own), CARRIED[0]))
+    return CauseFound(*said, *figures, dial, held, carried)
 
 
 def write_touches(path: str | Path, found: Change, layout: Layout, name: str) -> None:

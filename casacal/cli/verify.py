@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
             with Path(options.report).open(encoding="utf-8", errors="replace") as file:
                 if "<title>Calibration of" in file.read(LOOKED_AT):
                     raise CasacalError(f"'{options.report}' is the report of a calibration", "Name another --report")
-    if options.into_report:
+    if options.into_report:  # a report that is not there is said before anything is judged
         with_section(Path(result.file).with_name(REPORT), result, "")
     standing, risk = names_of("--standing", options.standing), RISK if options.risk is None else options.risk
     found = verify(

@@ -66,9 +66,8 @@ def _noise(part: Mapping[str, Any]) -> NoiseFound:
         stated, used = float(face["stated_mm"]), float(face["used_mm"])
         faces[name] = FaceNoise(stated, used, float(face.get("without_joints_mm", used)))  # lacking in older files
     ratio, low, high = (_number(part.get(key)) for key in ("ratio", "low", "high"))
-    shared = float((part.get("repeats") or {}).get("shared") or 0.0)
-    joints = float(part.get("joints_rad") or 0.0), int(part.get("loose_joint") or 0)
-    return NoiseFound(ratio, low, high, *joints, FrozenMapping(faces), shared)
+    joints, shared = (float(part.get(key) or 0.0) for key in ("joints_rad", "shared"))
+    return NoiseFound(ratio, low, high, joints, int(part.get("loose_joint") or 0), FrozenMapping(faces), shared)
 
 
 def _effects(part: Mapping[str, Any]) -> EffectsFound:

@@ -102,7 +102,7 @@ class NoiseFound(Value):
     """Noise over stated noise with its 95 % interval, noise by face, and joint repeatability, rad.
 
     loose_joint: the number of the joint that alone does not repeat, from 1; 0 where all are alike. shared: the part of
-    the noise's variance that repeats of a touch have in common.
+    the noise's variance, as it was used, that repeats of a touch have in common.
     """
 
     ratio: float

@@ -130,8 +130,8 @@ def plan(
     purposes = [FIT] * len(best) + [CHECK] * len(fresh)
     draws = [choice.error(rng.choice(pool, len(best), replace=False)) for _ in range(DRAWS)]
     fitted = np.concatenate([best, twice])
-    stds = np.where(np.isfinite(bound.prior_std), bound.prior_std, 0.0)
-    arms = bound.x0 + stds * np.random.default_rng([seed, 2]).normal(size=(ARMS, stds.size))
+    std = np.where(np.isfinite(bound.prior_std), bound.prior_std, 0.0)
+    arms = bound.x0 + std * np.random.default_rng([seed, 2]).normal(size=(ARMS, std.size))
     over_arms = [choice_at(at=arm).error(fitted) for arm in arms]
     return Plan(
         replace(reachable.take(order), lines=tuple(range(1, len(order) + 1))),
@@ -257,7 +257,7 @@ def bound_pool(
     return bound
 
 
-LEAST_FITTED = 3
+LEAST_FITTED = 3  # touches, which place one face
 
 
 def _refuse(touches: int, pool: int, starts: int, again: float, check: float) -> None:

@@ -242,7 +242,8 @@ WEIGHED = 120  # touches over which an arm's sag is as large as it is said to be
 
 def _pull(touch: TouchingArm, probe: Probe, cell: Cell, draw: Draw, poses: Array | None) -> float:
     """RMS move (mm^2) of the tip as joints yield, over touches of the arm's first session."""
-    plan, rng = SessionPlan.of(WEIGHED, len(cell.faces), 1), replace(draw, session=0).streams(2, of_the_arm=(0,))[1]
+    plan = SessionPlan.of(WEIGHED, len(cell.faces), 1)
+    _, rng = replace(draw, session=0).streams(2, of_the_arm=(0,))  # of postures, as `touched_rows` has it
     flat, plain = [None] * len(cell.faces), np.ones(WEIGHED)
     return weighed(touch, *_Contact(touch, probe, cell, plan, np.zeros(WEIGHED), flat, plain).found(rng, poses))
 
