@@ -49,6 +49,7 @@ EXTRAS = {
     "shopfloor.gauges": {"serial"},
     "cli.completion": {"shtab"},
     "tablet.server": {"starlette", "uvicorn"},
+    "shopfloor.controllers": {"httpx"},
 }
 """Packages that only some users need, and where they are asked for."""
 GROUND = set(ORDER[: ORDER.index("data")])

@@ -7,20 +7,15 @@ ABB: Robot Web Services of RobotWare 6 (HTTP, digest) and 7 (HTTPS, basic), reso
 
 from __future__ import annotations
 
-import json
 import math
 import socket
-import ssl
 import struct
 import threading
 import time
-import urllib.error
-import urllib.request
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from http.client import HTTPException, HTTPMessage
-from http.cookiejar import CookieJar
-from typing import IO, Any
+from io import BufferedRWPair
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -34,7 +29,7 @@ BETWEEN = 0.1  # seconds between two looks at an arm, which stands where both ag
 STILL = math.radians(0.01)  # rad by which they may differ: encoders flicker by less, a jogged arm moves by more
 AXES = 6
 RTDE_PORT = 30004
-LARGEST = 4096  # bytes of a package, and of a page of RWS, that are read
+LARGEST = 4096  # bytes of a package
 
 
 @dataclass(frozen=True)
@@ -48,7 +43,7 @@ class Controller:
         """Joint values (6,; rad) now; raises CasacalError where the controller does not give them."""
         try:
             found = self.ask()
-        except (OSError, HTTPException, ValueError, KeyError, IndexError, TypeError, struct.error) as error:
+        except (OSError, ValueError, KeyError, IndexError, TypeError, struct.error) as error:
             said = harmless(" ".join(str(error).split()))[:200] or type(error).__name__
             what = f"The controller at {self.name} gives no joint values ({said})"
             raise CasacalError(what, "Check the link, or type the joint values with the reading") from None
@@ -94,8 +89,7 @@ def rtde(address: str) -> Callable[[], Array]:
     host, port = _host_and_port(address, RTDE_PORT)
 
     def ask() -> Array:
-        with socket.create_connection((host, port), PATIENCE) as link:
-            link.settimeout(PATIENCE)
+        with socket.create_connection((host, port), PATIENCE) as at, at.makefile("rwb") as link:
             if _answer(link, REQUEST_VERSION, struct.pack(">H", VERSION)) != b"\x01":
                 raise ValueError(f"it does not speak version {VERSION} of RTDE")
             recipe = _answer(link, SETUP_OUTPUTS, struct.pack(">d", FREQUENCY) + b"actual_q")
@@ -111,44 +105,25 @@ def rtde(address: str) -> Callable[[], Array]:
     return ask
 
 
-def _answer(link: socket.socket, kind: bytes, payload: bytes) -> bytes:
+def _answer(link: BufferedRWPair, kind: bytes, payload: bytes) -> bytes:
     """Payload of the answer to a package."""
-    link.sendall(struct.pack(">H", 3 + len(payload)) + kind + payload)
+    link.write(struct.pack(">H", 3 + len(payload)) + kind + payload)
+    link.flush()
     return _received(link, kind)
 
 
-def _received(link: socket.socket, kind: bytes) -> bytes:
+def _received(link: BufferedRWPair, kind: bytes) -> bytes:
     """Payload of the next package of a kind; others, such as messages, are passed over."""
     until = time.monotonic() + PATIENCE
     while time.monotonic() < until:
-        (size,) = struct.unpack(">H", _bytes(link, 2))
+        head = link.read(3)
+        size, of_kind = struct.unpack(">Hc", head) if len(head) == 3 else (0, b"")
         if not 3 <= size <= LARGEST:
-            raise ValueError("what answers is no RTDE")
-        package = _bytes(link, size - 2)
-        if package[:1] == kind:
-            return package[1:]
+            raise ValueError("what answers is no RTDE" if head else "it closed the link")
+        payload = link.read(size - 3)
+        if of_kind == kind:
+            return payload
     raise ValueError("no joint values came")
-
-
-def _bytes(link: socket.socket, count: int) -> bytes:
-    found = b""
-    while len(found) < count:
-        more = link.recv(count - len(found))
-        if not more:
-            raise ValueError("it closed the link")
-        found += more
-    return found
-
-
-class Digest(urllib.request.HTTPDigestAuthHandler):
-    """Digest authentication that closes each challenge, which the standard library leaves to the garbage collector."""
-
-    def http_error_401(
-        self, req: urllib.request.Request, fp: IO[bytes], code: int, msg: str, headers: HTTPMessage
-    ) -> Any:
-        """Answer a challenge; None where it is none of this kind."""
-        fp.close()
-        return super().http_error_401(req, fp, code, msg, headers)
 
 
 DEFAULT_USER, DEFAULT_PASSWORD = "Default User", "robotics"  # as ABB delivers its controllers
@@ -158,7 +133,12 @@ def rws(address: str) -> Callable[[], Array]:
     """What gives the joint values (6,; rad) that ABB's Robot Web Services show in degrees.
 
     One session is kept, of which a controller has few. Certificates are not checked: a controller signs its own.
+    Raises CasacalError where httpx is not installed.
     """
+    try:
+        import httpx
+    except ImportError:
+        raise CasacalError("httpx is not installed", "Install it: pip install 'casacal[page]'") from None
     scheme, _, rest = address.rpartition("://")
     who, _, place = rest.rpartition("@")
     user, _, password = who.partition(":")
@@ -166,31 +146,29 @@ def rws(address: str) -> Callable[[], Array]:
     _host_and_port(server, 443 if scheme == "https" else 80)
     if scheme not in ("", "http", "https"):
         raise CasacalError(f"'{scheme}' is not how a controller is asked", "Give http://HOST or https://HOST")
-    base = f"{scheme or 'http'}://{server}/"
-    keys = urllib.request.HTTPPasswordMgrWithDefaultRealm()
-    keys.add_password(None, base, user or DEFAULT_USER, password or DEFAULT_PASSWORD)
-    unchecked = ssl.create_default_context()
-    unchecked.check_hostname, unchecked.verify_mode = False, ssl.CERT_NONE
-    opener = urllib.request.build_opener(
-        urllib.request.ProxyHandler({}),
-        urllib.request.HTTPCookieProcessor(CookieJar()),
-        Digest(keys),
-        urllib.request.HTTPBasicAuthHandler(keys),
-        urllib.request.HTTPSHandler(context=unchecked),
-    )
+    known = (user or DEFAULT_USER, password or DEFAULT_PASSWORD)
     newer = scheme == "https"
-    query = "" if newer else "?json=1"
-    accept = "application/hal+json;v=2.0" if newer else "application/json"
-    url = f"{base}rw/motionsystem/mechunits/{quote(unit or 'ROB_1')}/jointtarget{query}"
-    lock = threading.Lock()  # the opener counts challenges, and pages are asked from several threads
+    link = httpx.Client(
+        base_url=f"{scheme or 'http'}://{server}/rw/motionsystem/mechunits/",
+        auth=known if newer else httpx.DigestAuth(*known),
+        headers={"Accept": "application/hal+json;v=2.0" if newer else "application/json"},
+        params={} if newer else {"json": "1"},
+        timeout=PATIENCE,
+        verify=False,
+        trust_env=False,
+        limits=httpx.Limits(max_keepalive_connections=0),
+    )
+    lock = threading.Lock()  # the client counts challenges, and pages are asked from several threads
 
     def ask() -> Array:
-        try:
-            with lock, opener.open(urllib.request.Request(url, headers={"Accept": accept}), timeout=PATIENCE) as page:
-                document: Mapping[str, Any] = json.loads(page.read(LARGEST))
-        except urllib.error.HTTPError as refused:
-            refused.close()
-            raise ValueError(f"it answers {refused.code} {refused.reason}") from None
+        with lock:
+            try:
+                page = link.get(f"{quote(unit or 'ROB_1', safe='')}/jointtarget")
+            except httpx.HTTPError as error:
+                raise OSError(str(error)) from None
+        if page.is_error:
+            raise ValueError(f"it answers {page.status_code} {page.reason_phrase}")
+        document: Mapping[str, Any] = page.json()
         state = document["state"] if "state" in document else document["_embedded"]["_state"]
         return np.radians([float(state[0][f"rax_{k}"]) for k in range(1, AXES + 1)])
 
@@ -200,7 +178,8 @@ def rws(address: str) -> Callable[[], Array]:
 def _host_and_port(address: str, usual: int) -> tuple[str, int]:
     """Host and port of HOST[:PORT]; raises CasacalError."""
     host, colon, port = address.rpartition(":") if address.count(":") == 1 else (address, "", "")
-    if not host or (colon and not (port.isdecimal() and 0 < int(port) < 65536)) or any(each.isspace() for each in host):
+    of_port = not colon or (port.isdecimal() and 0 < int(port) < 65536)
+    if not host or not of_port or not host.isprintable() or " " in host:
         raise CasacalError(f"'{address}' is no address of a controller", "Give HOST or HOST:PORT")
     return host.strip("[]"), int(port) if colon else usual
 

@@ -24,7 +24,7 @@ from casacal.shopfloor.conversation import (
 )
 from casacal.shopfloor.recording import Recording
 from casacal.shopfloor.session import Session
-from casacal.shopfloor.touch import SHOWN, Touch, rows_of
+from casacal.shopfloor.touch import SHOWN, rows_of
 from casacal.simulation.cell import Cell
 from casacal.tablet.asked import ENOUGH_POSES, ORIENTATIONS
 from casacal.tablet.work import Work, for_page, unforeseen
@@ -189,17 +189,14 @@ def _made(session: Session, k: int) -> dict[str, Any]:
     touch, layout = session.touches[k], session.problem.layout()
     read = [f"{touch.columns[name] * WRITTEN[kind][1]:.{SHOWN}f}" for name, kind in layout.columns.items()]
     state = "in doubt" if session.alarm is not None and session.alarm.touch == k else ""
+    answered = "kept as it is" if touch.kept else "corrected" if touch.corrected else ""
     return {
         "number": session.shown(k),
         "where": ", ".join(touch.labels.values()),
         "read": " ".join(read),
         "purpose": PURPOSES[touch.purpose],
-        "state": state or _answer(touch) or ("waits" if k in session.waiting else ""),
+        "state": state or answered or ("waits" if k in session.waiting else ""),
     }
-
-
-def _answer(touch: Touch) -> str:
-    return "kept as it is" if touch.kept else "corrected" if touch.corrected else ""
 
 
 def _next(work: Work, recording: Recording) -> dict[str, Any]:
@@ -212,6 +209,10 @@ def _next(work: Work, recording: Recording) -> dict[str, Any]:
     if proposed is None:
         return {"next": None, "waiting": ""}
     words = waiting(session, proposed, work.place.gauge, by_gauge=work.line is not None)
+    beyond = None  # the posture in space, of a touch that no plan has
+    if proposed.number is None:
+        place = work.place
+        (beyond,) = scene(session.problem, work.source.cell, place.clearance, rows_of([proposed]))["arms"]
     found = {
         "number": proposed.number,
         "where": ", ".join(proposed.labels[name] for name in layout.labels),
@@ -219,16 +220,9 @@ def _next(work: Work, recording: Recording) -> dict[str, Any]:
         "joints": joints_shown(proposed.joints, layout),
         "expected": to_expect(session, proposed),
         "warning": "" if recording.warning is None else sentence(recording.warning),
-        "arm": None if proposed.number is not None else _arm(work, proposed),
+        "arm": beyond,
     }
     return {"next": found, "waiting": words}
-
-
-def _arm(work: Work, touch: Touch) -> dict[str, Any]:
-    """A posture that no plan has, in space."""
-    problem = work.source.problem
-    arms: list[dict[str, Any]] = scene(problem, work.source.cell, work.place.clearance, rows_of([touch]))["arms"]
-    return arms[0]
 
 
 def _decide(work: Work) -> dict[str, Any]:

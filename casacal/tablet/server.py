@@ -32,6 +32,7 @@ try:
     import uvicorn
     from starlette.applications import Starlette
     from starlette.concurrency import run_in_threadpool
+    from starlette.datastructures import MutableHeaders
     from starlette.requests import Request
     from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response, StreamingResponse
     from starlette.routing import Route
@@ -44,10 +45,6 @@ IN_SPACE = ("space.js", "three.module.min.js")
 """Scripts that reports have as well."""
 STATIC = {"page.css": "text/css", **dict.fromkeys(("page.js", *IN_SPACE), "text/javascript")}
 TICK, BEAT = 0.1, 15.0  # seconds between two looks for a change, and between two signs of life to a window
-POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
-    "frame-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
-)
 FILES_POLICY = (
     "sandbox allow-scripts; default-src 'none'; style-src 'unsafe-inline'; img-src data:; "
     "script-src 'unsafe-inline' blob:; frame-ancestors 'self'"
@@ -58,6 +55,10 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
+        "frame-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+    ),
 }
 
 
@@ -80,10 +81,9 @@ class Door:
 
         async def with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                there = {key.lower() for key, _ in message["headers"]}
-                more = {**HEADERS, "Content-Security-Policy": POLICY}
-                added = [(k.lower().encode(), v.encode()) for k, v in more.items() if k.lower().encode() not in there]
-                message = {**message, "headers": [*message["headers"], *added]}
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers.setdefault(name, value)  # a file of the work has a policy of its own
             await send(message)
 
         await self.app(scope, receive, with_headers)
@@ -185,12 +185,9 @@ class Pages:
         try:
             found = await run_in_threadpool(self.work.do, name if isinstance(name, str) else "", asked)
             return JSONResponse(found | {"state": await run_in_threadpool(document, self.work)})
-        except OutdatedError as error:
-            return answer(409, str(error))
-        except RefusedResultError as error:
-            return answer(403, str(error))
         except CasacalError as error:
-            return answer(400, str(error))
+            status = {OutdatedError: 409, RefusedResultError: 403}.get(type(error), 400)
+            return answer(status, str(error))
 
     async def events(self, request: Request) -> Response:
         """The version of the state, each time that it changes."""

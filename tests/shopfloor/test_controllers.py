@@ -3,6 +3,7 @@
 import math
 import shutil
 import subprocess
+import sys
 
 import pytest
 from conftest import ROOT
@@ -93,6 +94,7 @@ def test_robotware_7_by_tls_and_the_basic_scheme(robot, tmp_path):
         ("rtde:10.0.0.1:99999", "no address"),
         ("rws:ftp://10.0.0.1", "not how a controller is asked"),
         ("rws:a b", "no address"),
+        ("rws:a\x00b", "no address"),
     ],
 )
 def test_addresses_that_are_none(robot, spelled, words):
@@ -104,6 +106,12 @@ def test_an_arm_of_other_joints_is_refused():
     robot = load_problem(ROOT / "problems" / "adept_cobra600").problem.robot
     with pytest.raises(CasacalError, match="six turning joints"):
         controller("rtde:127.0.0.1", robot)
+
+
+def test_a_missing_library_is_said(robot, monkeypatch):
+    monkeypatch.setitem(sys.modules, "httpx", None)
+    with pytest.raises(CasacalError, match=r"httpx is not installed.*casacal\[page\]"):
+        controller("rws:127.0.0.1", robot)
 
 
 def test_the_name_is_the_address_alone(robot):

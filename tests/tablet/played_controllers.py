@@ -9,6 +9,7 @@ import socketserver
 import ssl
 import struct
 import threading
+import time
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
@@ -41,7 +42,10 @@ def rtde_controller(arm):
 
     class Handler(socketserver.StreamRequestHandler):
         def send(self, kind, payload):
-            self.wfile.write(struct.pack(">HB", 3 + len(payload), ord(kind)) + payload)
+            package = struct.pack(">HB", 3 + len(payload), ord(kind)) + payload
+            for part in (package[:2], package[2:5], package[5:]):  # a network parts packages where it likes
+                self.wfile.write(part)
+                time.sleep(0.002)
 
         def handle(self):
             if arm.says is not None:

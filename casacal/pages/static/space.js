@@ -39,8 +39,8 @@ export class Space {
       this.cell.add(table);
     }
     for (const solid of space.solids) {
-      const size = solid.size;
-      const shape = new THREE.Mesh(new THREE.BoxGeometry(...size), paint(solid.touched ? COLOURS.face : COLOURS.box, 0.75));
+      const colour = solid.touched ? COLOURS.face : COLOURS.box;
+      const shape = new THREE.Mesh(new THREE.BoxGeometry(...solid.size), paint(colour, 0.75));
       const [x, y, z] = solid.axes.map((axis) => new THREE.Vector3(...axis));
       shape.applyMatrix4(new THREE.Matrix4().makeBasis(x, y, z).setPosition(...solid.centre));
       this.cell.add(shape);
@@ -61,13 +61,11 @@ export class Space {
     for (let k = 0; k + 1 < nodes.length; k++) {
       this.arm.add(...rod(nodes[k], nodes[k + 1], radii[k], radii[k] < radii[0] ? COLOURS.wrist : COLOURS.arm));
     }
-    const tip = nodes[nodes.length - 1];
-    const dot = new THREE.Mesh(new THREE.SphereGeometry(8, 16, 12), paint(COLOURS.tip));
+    const tip = nodes.at(-1), dot = new THREE.Mesh(new THREE.SphereGeometry(8, 16, 12), paint(COLOURS.tip));
     dot.position.copy(tip);
     this.arm.add(dot);
     if (arm.plunger) {
-      const along = new THREE.Vector3(...arm.plunger);
-      const from = tip.clone().addScaledVector(along, -APPROACH);
+      const along = new THREE.Vector3(...arm.plunger), from = tip.clone().addScaledVector(along, -APPROACH);
       this.arm.add(new THREE.ArrowHelper(along, from, APPROACH, COLOURS.tip, 22, 14));
     }
     this.draw();
@@ -120,10 +118,9 @@ export class Space {
       this.move(0, 0, Math.exp(event.deltaY / 800));
     }, { passive: false });
     this.canvas.addEventListener("keydown", (event) => {
-      const [turn, tilt, nearer] = KEYS[event.key] || [0, 0, 0];
-      if (!nearer) return;
+      if (!(event.key in KEYS)) return;
       event.preventDefault();
-      this.move(turn, tilt, nearer);
+      this.move(...KEYS[event.key]);
     });
     new ResizeObserver(() => this.draw()).observe(this.canvas);
   }

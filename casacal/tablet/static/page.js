@@ -23,19 +23,10 @@ async function ask(address, body) {
   const options = body === undefined ? {} : {
     method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body),
   };
-  let reply;
-  try {
-    reply = await fetch(address, options);
-  } catch {
-    throw new Error(LOST);
-  }
-  const text = await reply.text();
-  let found;
-  try {
-    found = JSON.parse(text);
-  } catch {
-    throw new Error(text.trim());
-  }
+  const lost = () => { throw new Error(LOST); };
+  const reply = await fetch(address, options).catch(lost), kind = reply.headers.get("Content-Type");
+  if (kind !== "application/json") throw new Error((await reply.text().catch(lost)).trim());
+  const found = await reply.json().catch(lost);
   if (!reply.ok) throw new Error(found.error);
   return found;
 }
@@ -100,17 +91,13 @@ function show(next) {
   for (const [id, file] of [["sheet", "sheet.html"], ["report-link", "report.html"], ["verified", "verified.html"]]) {
     $(id).parentElement.hidden = !state.files.includes(file);
   }
-  showCell(state.gates.cell);
+  $("facts").replaceChildren(...state.gates.cell.facts.flatMap(([name, words]) => [el("dt", name), el("dd", words)]));
   showConventions(state.gates.conventions);
   showPlan(state.gates.plan);
   showMeasure(state.gates.measure);
   showDecision(state.gates.decide);
   showHandOver(state.gates.hand_over);
   showSpace(shown);
-}
-
-function showCell(gate) {
-  $("facts").replaceChildren(...gate.facts.flatMap(([name, words]) => [el("dt", name), el("dd", words)]));
 }
 
 function showConventions(gate) {
@@ -259,8 +246,7 @@ async function showSpace(shown) {
     if (space === null) space = import("/static/space.js").then(({ Space }) => new Space($("view")));
     const drawing = await space, plan = state.gates.plan.notes.join();
     if (spaceOf !== plan) {
-      const found = await ask("/space");
-      drawing.show(found);
+      drawing.show(await ask("/space"));
       spaceOf = plan;
     }
   } catch (error) {
