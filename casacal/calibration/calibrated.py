@@ -62,7 +62,7 @@ class Calibrated(WithVerdict, AsArm):
 
     @property
     def tip_std(self) -> tuple[float, float]:
-        """Tip error to expect, mm RMS over the workspace, apart from the position of the base: from priors, and now."""
+        """Tip error to expect, mm RMS over the workspace, apart from the pose of the base: from priors, and now."""
         return (math.nan, math.nan) if self.denied else self.unjudged.tip_std
 
     @property
@@ -311,7 +311,7 @@ class Calibrated(WithVerdict, AsArm):
         return axes
 
     def plot_tip_std(self, ax: Any = None) -> Any:
-        """Draw how uncertain the tip is (mm, all axes, apart from the position of the base) over radius and height.
+        """Draw how uncertain the tip is (mm, all axes, apart from the pose of the base) over radius and height.
 
         ax, what is returned: as for `plot_residuals`. Raises CasacalError where the verdict is not to use this result.
         """
@@ -328,7 +328,7 @@ class Calibrated(WithVerdict, AsArm):
         axes.set_xlabel("distance from the first axis, mm")
         axes.set_ylabel("height, mm")
         axes.set_aspect("equal", adjustable="datalim")
-        axes.set_title("How uncertain the tip is, apart from the position of the base", fontsize=10)
+        axes.set_title("How uncertain the tip is, apart from the pose of the base", fontsize=10)
         return axes
 
     def __repr__(self) -> str:

@@ -354,7 +354,7 @@ class Calibration(Value):
 
     @cached_property
     def tip_std(self) -> tuple[float, float]:
-        """Tip error to expect, mm RMS over the workspace, apart from the position of the base: from priors, and now.
+        """Tip error to expect, mm RMS over the workspace, apart from the pose of the base: from priors, and now.
 
         An estimate that is not the minimum errs by what the posterior allows there, and by its own way to the minimum.
         """

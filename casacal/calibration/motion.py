@@ -111,7 +111,7 @@ def among(result: Result, arm: ArmProblem) -> Array:
 def tip_extremes(motion: Motion, workspace: tuple[Array, Array, Array]) -> tuple[float, float]:
     """Largest move of the tip from nominal, and its largest predicted standard deviation, over the workspace, mm.
 
-    Both apart from the position of the base; the three axes together. Of joint values, tips and slopes there.
+    Both apart from the pose of the base; the three axes together. Of joint values, tips and slopes there.
     """
     joints, tips, slopes = workspace
     moved = without_rigid((tips - motion.arm.tips(motion.arm.x0, joints)).ravel(), tips).reshape(-1, 3)
@@ -221,7 +221,7 @@ class Sensitivity(Value):
     names: of the unknowns. readings: line and column of each number (k) of a row beside the joint values, as in the
     file. by_reading: dx/dy (n, k), by the columns' units. by_prior: dx/dx0 (n, n), column j by the prior's mean of
     unknown j. rows: line of each row (N). tip_by_row (N), tip_by_prior (n): how far the tip moves, mm RMS over the
-    workspace apart from the base's position, where all of a row, or a prior's mean, errs by one standard deviation.
+    workspace apart from the pose of the base, where all of a row, or a prior's mean, errs by one standard deviation.
     """
 
     names: tuple[str, ...]

@@ -208,7 +208,7 @@ def expected_error(each: Sequence[Touches], box: Box | None) -> dict[str, Any]:
 class Workspace:
     """Tips (N, 3) of random postures, and at each the expected error and the correction (N,), all mm.
 
-    Both apart from the position of the base. The error is the standard deviation, its three axes together; the
+    Both apart from the pose of the base. The error is the standard deviation, its three axes together; the
     correction is how far the calibrated tip lies from the nominal one, or from that of an earlier result.
     """
 
@@ -321,7 +321,7 @@ def _figures(calibration: WithVerdict) -> list[tuple[str, str, str]]:
     found, reference = calibration.identifiability, calibration.reference
     expected = ("Expected tip error", "not stated", "the result must not be used")
     if not calibration.denied:
-        words = f"RMS over the workspace, apart from the position of the base; before {mm(drawn)}"
+        words = f"RMS over the workspace, apart from the pose of the base; before {mm(drawn)}"
         expected = ("Expected tip error", mm(now), words)
     unit = calibration.fit.problem.words.unit
     residual = f"RMS of the {where}; before {fixed(was['rmse_mm'])} {unit}"

@@ -61,8 +61,7 @@ MAPS = {  # title and caption of each map of the workspace
     ),
     "correction": (
         "Correction",
-        "How far the calibrated tip lies from {base}, apart from the position of the base: what the "
-        "calibration changes.",
+        "How far the calibrated tip lies from {base}, apart from the pose of the base: what the calibration changes.",
     ),
 }
 TITLES: Mapping[When, str] = {"before": "Before", "after": "After"}

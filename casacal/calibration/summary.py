@@ -81,7 +81,7 @@ def _of_the_arm(calibration: WithVerdict) -> Iterator[str]:
         samples_alone = f"the tip error is {mm(alone, 3)} RMS" if alone < METRE else "the tip error has no bound"
         lines = [
             "The residuals above are not accuracy: they can be small while the arm is wrong elsewhere.",
-            f"Expected tip error over the workspace, apart from the position of the base: {mm(after, 3)} RMS (before: "
+            f"Expected tip error over the workspace, apart from the pose of the base: {mm(after, 3)} RMS (before: "
             f"{mm(before, 3)}).",
             *([f"Expected flange error: {mm(flange, 3)} (before: {mm(drawn, 3)})."] if math.isfinite(flange) else []),
             f"Both assume that {calibration.assumed} are right and that nothing else moves the arm.",

@@ -391,7 +391,7 @@ def _expected(calibration: Calibration) -> str:
     (before, now), (drawn, flange) = calibration.tip_std, calibration.flange_std
     least = "at least " if calibration.noise.low > NOISE_BAND[1] and not calibration.noise.scale else ""
     alone = "" if any(calibration.fit.beside) else " and nothing errs beside the geometry"
-    trusted = f"apart from the base's position, if {calibration.assumed} are right{alone}"
+    trusted = f"apart from the pose of the base, if {calibration.assumed} are right{alone}"
     if (tool := calibration.hidden_tool) is not None:
         said = f"expect a flange error of {least}{mm(flange)} RMS over the workspace (before: {mm(drawn)}), {trusted}. "
         said += f"The tip error of {mm(now)} is mostly the tool's: these samples hardly show {listed(tool.names)} "

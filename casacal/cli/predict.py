@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add(parser, "--out FILE", "CSV of poses", required=True)
     add_frame(parser, "poses of the flange or of the tip")
-    add(parser, "--std", "add a column std_mm: standard deviation of the position, apart from the position of the base")
+    add(parser, "--std", "add a column std_mm: standard deviation of the position, apart from the pose of the base")
     add_program(parser)
     add(parser, "--nominal", "use the arm as drawn, not as calibrated")
     add(parser, *FORCE)

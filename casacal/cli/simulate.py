@@ -112,7 +112,7 @@ def run(options: argparse.Namespace) -> int:
         where = f"on {', '.join(faces)} at tilts up to {math.degrees(cell.tilt):g} deg"
     said = [f"Simulated, not measured: {counted} {where}", *(f"warning: {each}" for each in warned), *remarks]
     said.append(
-        "Samples like these should reduce the tip error over the workspace, apart from the position of the base, from "
+        "Samples like these should reduce the tip error over the workspace, apart from the pose of the base, from "
         f"{f'{before:.2f}' if before < METRE else UNBOUNDED} to {after:.2f} mm RMS, if the stated noise and priors are "
         "right"
     )

@@ -51,7 +51,8 @@ def repeats_in(measured: Measurements, groups: Sequence[str | None]) -> Repeats:
 
 def copies_of(samples: Samples) -> Rows:
     """Which rows (N,) equal an earlier one to the last digit; a touch whose purpose is "again" is no copy."""
-    numbers = [np.asarray(values) + 0.0 for values in (*samples.joints.T, *samples.columns.values())]  # no -0.0
+    told = _numbers_of(samples).values()
+    numbers = [np.asarray(values) + 0.0 for values in (*samples.joints.T, *samples.columns.values(), *told)]  # no -0.0
     codes = [labels.codes for labels in samples.labels.values()]
     if "purpose" in samples.extra:
         codes.append(np.array([cell == "again" for cell in samples.extra["purpose"]], dtype=np.intp))
@@ -66,6 +67,7 @@ def copies_of(samples: Samples) -> Rows:
 
 
 RECORDED, AT_REST = 8, 3e-4  # lines in a row that only a recorder writes at a standstill; noise of its joints (rad, mm)
+LEAP = 0.25  # part of the range of such a column by which it changes where somebody changed it
 ALIKE = 0.1  # range (mm, rad, number) of a column over a standstill within which its mean is meant even near zero
 
 
@@ -77,6 +79,9 @@ def standstills(samples: Samples) -> Index:
     moved = (np.abs(np.diff(samples.joints, axis=0)) > AT_REST).any(axis=1) | (np.diff(codes, axis=0) != 0).any(axis=1)
     purposes = samples.extra.get("purpose", ("",) * count)
     moved |= np.array([one != two for one, two in itertools.pairwise(purposes)], dtype=bool)
+    for values in _numbers_of(samples).values():  # such as a load that is changed while the arm stands
+        if len(np.unique(values)) * RECORDED <= count:  # not measured ones, which are all a little different
+            moved |= np.abs(np.diff(values)) > LEAP * np.ptp(values)
     begins += (np.flatnonzero(moved) + 1).tolist()
     sizes = np.diff([*begins, count])
     recorded = set(purposes) != {"again"} and 2 * sizes[sizes >= RECORDED].sum() > count
@@ -98,7 +103,13 @@ def once_each(samples: Samples) -> Samples:
     for name, values in samples.columns.items():
         columns[name] = np.where(jumps, middle.columns[name], np.add.reduceat(values, first) / sizes)
     joints = np.add.reduceat(samples.joints, first, axis=0) / sizes[:, None]
-    return replace(middle, joints=joints, columns=columns)
+    told = {name: np.add.reduceat(values, first) / sizes for name, values in _numbers_of(samples).items()}
+    return replace(middle, joints=joints, columns=columns, extra={**middle.extra, **told})
+
+
+def _numbers_of(samples: Samples) -> dict[str, Array]:
+    """Further columns (N,) of numbers, which terms ask for."""
+    return {name: values for name, values in samples.extra.items() if isinstance(values, np.ndarray)}
 
 
 def without_copies(samples: Samples) -> Samples:

@@ -117,6 +117,8 @@ def _encoded(item: Any) -> Any:
     """Values of the closed set of kinds, and what they hold, in JSON's types; floats that JSON lacks as words."""
     if item is None or isinstance(item, (bool, int, str)):
         return item
+    if isinstance(item, (np.integer, np.bool_)):
+        return item.item()
     if isinstance(item, (float, np.floating)):
         return float(item) if math.isfinite(item) else {"is": "number", "text": str(float(item))}
     if isinstance(item, (tuple, list, np.ndarray)):

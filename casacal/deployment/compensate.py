@@ -197,7 +197,7 @@ class Compensation(Value):
     correction_mm: miss at `start`, which the correction removes. correction: largest joint motion from `start`, rad, a
     sliding joint in mm over 300. A row that is not reached holds the nearest joint values within that motion, or its
     start where that would be a jump; NaN for a pose that no start was found for. expected_mm: standard deviation of the
-    position that is left, apart from the position of the base. missing, beyond: as of a `Prediction`.
+    position that is left, apart from the pose of the base. missing, beyond: as of a `Prediction`.
     """
 
     targets: Targets

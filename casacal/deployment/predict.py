@@ -113,7 +113,7 @@ class RowZeros:
 def position_stds(
     result: CalibratedArm, data: Array, frame: str, zeros: RowZeros | None, extra: TellingColumns = NOTHING
 ) -> Array:
-    """Standard deviation (N,) of the position, mm, all axes together, apart from the position of the base.
+    """Standard deviation (N,) of the position, mm, all axes together, apart from the pose of the base.
 
     A rigid motion fitted over the workspace is taken out for the base. Effects beside the geometry that are not
     corrected count as errors, by their size and its uncertainty. extra: columns that drive effects; one that stands at

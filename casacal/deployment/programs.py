@@ -155,8 +155,8 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
     elif reached.any() and denial is None:
         lines.append(
             f"position error of the {compensation.frame} to expect: "
-            f"{_figures(compensation.expected_mm[reached], 'mm')}; standard deviation, apart from the position of the "
-            f"base, which must be taught"
+            f"{_figures(compensation.expected_mm[reached], 'mm')}; standard deviation, apart from the pose of the "
+            "base, whose origin and directions must be taught"
         )
     lines += column_notes(result, compensation.missing, compensation.beyond)
     if len(robot.axes) < 6:

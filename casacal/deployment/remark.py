@@ -49,7 +49,7 @@ def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
         lines.append(f"{MARK}the result's verdict: {level if alone else care}")
     if (image := result.mirror_words) is not None:
         lines.append(f"{MARK}{image}")
-    where = "mm RMS over the workspace, apart from the position of the base"
+    where = "mm RMS over the workspace, apart from the pose of the base"
     errors = (error, math.nan if alone else found.tip.flange_expected_mm)
     tip, flange = ("not known" if math.isnan(each) else f"{each:.3f} {where}" for each in errors)
     if form != "zeros":  # which hold no more than a part of the correction, and say of how much

@@ -38,7 +38,7 @@ class WorkFrame(Value):
     """A work object's frame `matrix` (4, 4; mm) in the base frame of the calibrated arm.
 
     origin_std, turn_std: standard deviations of its origin (mm) and orientation (rad), three axes together, as the arm
-    comes to it, apart from the position of the base; NaN where the result holds none.
+    comes to it, apart from the pose of the base; NaN where the result holds none.
     """
 
     matrix: Array
@@ -118,7 +118,7 @@ def frame_text(
     lines = [
         *(f"# {line}" for line in remark(result, form="frame")),
         f"# work object of {what}, in {base}",
-        "# standard deviation, apart from the position of the base: "
+        "# standard deviation, apart from the pose of the base: "
         + (spread if math.isfinite(frame.origin_std) else "not known"),
         f'ABB, RAPID: PERS wobjdata work := [FALSE, TRUE, "", [[{x:.4f}, {y:.4f}, {z:.4f}], '
         f"[{w0:.9f}, {w1:.9f}, {w2:.9f}, {w3:.9f}]], [[0, 0, 0], [1, 0, 0, 0]]];",

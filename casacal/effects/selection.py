@@ -234,7 +234,7 @@ class DialError:
     """An error of a dial that its problem does not declare, at its likeliest size.
 
     chance: of rows like these without it. tip_mm: what it makes of the estimate, mm RMS at the tip over the workspace,
-    apart from the position of the base.
+    apart from the pose of the base.
     """
 
     key: str

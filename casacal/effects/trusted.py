@@ -141,7 +141,7 @@ class Leverage:
     """What a constant that an instrument takes for exact is worth at the tip.
 
     std: of its error, as taken, in `unit`. tip_mm: by how much the estimate of the tip moves, mm RMS over the workspace
-    apart from the position of the base, where the constant errs by that and everybody takes it for exact. left_mm: the
+    apart from the pose of the base, where the constant errs by that and everybody takes it for exact. left_mm: the
     part of the expected tip error that comes from it, as far as the rows themselves have narrowed it down.
     """
 

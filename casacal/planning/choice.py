@@ -261,7 +261,7 @@ def row_slopes(bound: BoundProblem, x: Array) -> Array:
 
 
 def wanted_field(bound: BoundProblem, x: Array, joints: Array) -> Array:
-    """Moves (3 M, n) of the tip at joint values (M, q), apart from the position of the base, in the same units."""
+    """Moves (3 M, n) of the tip at joint values (M, q), apart from the pose of the base, in the same units."""
     frame = workspace_joints(bound.problem.robot)
     sets = [(bound.tip_jacobian(x, q), bound.tips(x, q)) for q in (joints, frame)]
     return np.asarray(up_to_base(*sets[0], *sets[1]) * bound.start_std)

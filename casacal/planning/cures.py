@@ -47,7 +47,7 @@ FEWEST = 120  # samples without which there is nothing to choose among
 class Cure:
     """A recommended next step, and the tip error to expect after it.
 
-    expected_rms_mm: over the workspace, apart from the position of the base. recommended: whether it gains more than a
+    expected_rms_mm: over the workspace, apart from the pose of the base. recommended: whether it gains more than a
     few per cent, over as many touches of the same kind too. covariance: of the geometry that the samples share (s, s),
     after it.
     """
@@ -224,7 +224,7 @@ def _with_rows(
 
 
 def _field(arm: ArmProblem, at: Array) -> Array:
-    """Slopes of the tip over the workspace, apart from the position of the base (3M, s)."""
+    """Slopes of the tip over the workspace, apart from the pose of the base (3M, s)."""
     joints = workspace_joints(arm.problem.robot)
     return without_rigid(arm.tip_jacobian(at, joints), arm.tips(at, joints))
 

@@ -368,7 +368,7 @@ def plan_sentences(
     said += [
         f"{len(plan)} touches: {fitted} to fit, {again} of them once more, {check} kept to verify "
         f"({check / len(plan):.0%})",
-        f"Expect a tip error of {figures(plan.error)} mm RMS {where}, apart from the position of the base, if the "
+        f"Expect a tip error of {figures(plan.error)} mm RMS {where}, apart from the pose of the base, if the "
         "stated noise and priors are right; effects beside the geometry are not counted",
         f"{without}: {alone}; the same number at random: {figures(plan.at_random)} mm; all {pool} candidates: "
         f"{figures(plan.best)} mm",
@@ -472,7 +472,7 @@ def plan_text(plan: Plan, problem: Problem, name: str, clearance: Clearance | No
     notes = [
         f"planned by casacal for {name}: not a measurement",
         f"table at z = {plan.cell.table:g} mm",
-        f"expected tip error {figures(plan.error, 4)} mm RMS, apart from the position of the base, if stated noise and "
+        f"expected tip error {figures(plan.error, 4)} mm RMS, apart from the pose of the base, if stated noise and "
         f"priors are right; of as many at random {figures(plan.at_random, 4)} mm",
         *cell_words(plan, problem, clearance),
         f"bring the arm to each posture; {f'{approach}; ' if approach else ''}write down the joint values that the "

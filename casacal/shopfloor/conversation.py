@@ -301,10 +301,12 @@ def to_expect(session: Session, touch: Touch) -> str:
     found, probe = told(session, touch), session.problem.instrument.probe
     if found is not None and probe is not None:
         return f"{probe.column} about {found[0]:.2f} mm (standard deviation {figures(found[1], 2)} mm)"
-    return ", ".join(
+    planned = ", ".join(
         f"{name} about {touch.columns[name] * WRITTEN[kind][1]:.2f}{WRITTEN[kind][0].replace('_', ' ')} as planned"
         for name, kind in session.problem.layout().columns.items()
     )
+    unknown = probe is not None and planned and session.problem.layout().labels
+    return f"{planned}; where the face is, no touch has told yet: come slowly" if unknown else planned
 
 
 def posture(session: Session, touch: Touch) -> str:
@@ -337,6 +339,9 @@ def _report(session: Session) -> str:
         said.append(f"tip error {figures(session.tip_error)} mm expected, below {figures(session.tip_error_below)}")
     if (distrust := too_many_corrected(session)) is not None:
         said.append(distrust)
+    probe, last = session.problem.instrument.probe, session.touches[-1]
+    if probe is not None and probe.column is not None and last.columns[probe.column] in readings_within(probe.travel):
+        said.append("warning: the dial stands at the end of its travel, so the tip may be free, or the dial be crushed")
     if session.noise > 1:
         said.append(f"touches scatter {session.noise:.2g} times the stated noise; figures allow for it")
     return "; ".join(said)
@@ -367,12 +372,16 @@ def doubt(session: Session) -> list[str]:
     if alarm is None:
         return []
     size = abs(alarm.off) / alarm.std if alarm.std > 0 else math.inf
-    there = alarm.raised_by == len(session) - 1
+    there, kept = alarm.raised_by == len(session) - 1, sum(touch.kept for touch in session.touches)
     off, _ = _as_read(session, alarm.raised_by, alarm.off, alarm.std)
+    before = (
+        f" {counted(kept, 'doubtful touch')} {'was' if kept == 1 else 'were'} kept before: where doubts go on, the arm "
+        "may be further off its drawing than the problem file allows (prior_std; --accuracy of casacal new)."
+    ) * (kept > 0)
     said = [
         f"warning: touch {session.shown(alarm.raised_by)} is off by {figures(off)} mm, {times(size)} times "
-        f"what was to be expected.{' The arm still stands there: look at the dial again first.' * there} What would "
-        "explain it, the likeliest first:"
+        f"what was to be expected.{' The arm still stands there: look at the dial again first.' * there}{before} What "
+        "would explain it, the likeliest first:"
     ]
     for k, each in enumerate(alarm.suspects, 1):
         cause, chance = "no known cause explains it" if each.slip is None else each.slip.words, each.chance
@@ -391,7 +400,7 @@ def ended(session: Session) -> list[str]:
     if below is not None:
         said.append(
             f"{counted(len(session), 'touch')}: tip error {session.tip_error:.3g} mm expected, below {below:.3g} "
-            f"mm{met}, apart from the position of the base, if the priors and the form of the arm's model are right. "
+            f"mm{met}, apart from the pose of the base, if the priors and the form of the arm's model are right. "
             "casacal calibrate judges that"
         )
     if (distrust := too_many_corrected(session)) is not None:

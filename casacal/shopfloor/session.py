@@ -283,7 +283,7 @@ class Session(Value):
 
     @property
     def tip_error(self) -> float | None:
-        """Tip error to expect where it is wanted, mm RMS, apart from the base's position.
+        """Tip error to expect where it is wanted, mm RMS, apart from the pose of the base.
 
         None before any touch, and where so many were corrected that they no longer tell what is true: `distrusted`.
         """

@@ -33,7 +33,7 @@ class SimulatedTrial:
         """Figures of merit of a result, from its x and covariance alone.
 
         cost: the objective. fit_rmse_mm, heldout_*_mm: distances from the fitted planes. tip_*_mm: length of the true
-        tip error over the workspace, apart from the position of the base. bound_mm: the Bayesian bound of
+        tip error over the workspace, apart from the pose of the base. bound_mm: the Bayesian bound of
         tip_rms_mm. nees: of the arm's unknowns, per unknown. coverage: share of tip errors, axis by axis, inside their
         95 % intervals.
         """

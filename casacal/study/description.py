@@ -23,6 +23,7 @@ from pathlib import Path
 from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
 from typing import Any, Protocol, TypeAlias
 
+import casadi as ca
 import numpy as np
 
 from casacal.errors import StudyError
@@ -88,14 +89,26 @@ def _described(value: Any, within: tuple[int, ...]) -> Any:
         return _class(value, within)
     if isinstance(value, (ModuleType, BuiltinFunctionType)):
         return ["named", value.__name__]
+    if isinstance(value, (ca.Function, ca.SX, ca.MX, ca.DM)):  # the same graph in another object is the same
+        kind = type(value).__name__
+        graph = ca.Function("graph", ca.symvar(value), [value]) if isinstance(value, ca.MX) else value
+        return ["graph", kind, _digest(graph.serialize().encode())]
     return ["object", _class(type(value), within), _described(_state(value), within)]
 
 
 def _state(value: Any) -> Any:
-    """Fields of a dataclass, or attributes of another object; the text of one that has neither."""
+    """Fields of a dataclass, or attributes of another object; the text of one that has neither.
+
+    Raises StudyError where that text is no more than an address, which differs from run to run.
+    """
     if dataclasses.is_dataclass(value):
         return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
-    return vars(value) if hasattr(value, "__dict__") else str(value)
+    if hasattr(value, "__dict__"):
+        return vars(value)
+    if " at 0x" in (text := str(value)):
+        what = f"The study uses a {type(value).__name__}, and nothing tells it from another one"
+        raise StudyError(what, "Make it inside the function that uses it")
+    return text
 
 
 def _function(function: FunctionType, within: tuple[int, ...]) -> Any:
@@ -112,13 +125,17 @@ def _class(cls: type, within: tuple[int, ...]) -> Any:
     """Name of a class; where it is a user's, also its functions and values and those of its bases."""
     if _ours(cls.__module__) or cls.__module__ in ("builtins", "numpy") or cls is object:
         return f"{cls.__module__}.{cls.__qualname__}"
-    own = {
-        key: _described(item.fget if isinstance(item, property) else item, within)
-        for key, item in sorted(vars(cls).items())
-        if isinstance(item, (FunctionType, property))
-        or (isinstance(item, (bool, int, float, str, tuple)) and not key.startswith("__"))
-    }
+    own = dict[str, Any]()
+    for key, item in sorted(vars(cls).items()):
+        if isinstance(item, (property, staticmethod, classmethod, functools.cached_property)):
+            (inner,) = (getattr(item, name) for name in ("fget", "__func__", "func") if hasattr(item, name))
+            own[key] = _described(inner, within)
+        elif isinstance(item, FunctionType) or (isinstance(item, VALUES) and not key.startswith("__")):
+            own[key] = _described(item, within)
     return [cls.__qualname__, own, [_class(base, within) for base in cls.__bases__]]
+
+
+VALUES = (bool, int, float, str, tuple, list, dict, set, frozenset, np.ndarray)
 
 
 def _ours(module: str | None) -> bool:
@@ -319,6 +336,8 @@ def _rounded(value: Any, digits: int) -> Any:
         return float(f"{value:.{digits}g}") if math.isfinite(value) else None
     if isinstance(value, Mapping):
         return {key: _rounded(item, digits) for key, item in value.items()}
+    if isinstance(value, (np.generic, np.ndarray)):
+        return _rounded(value.tolist(), digits)
     if isinstance(value, (list, tuple)):
         return [_rounded(item, digits) for item in value]
     return value
@@ -392,6 +411,8 @@ class Study:
                 raise StudyError(f"Method '{name}' of the study '{self.name}' is a {type(what).__name__}", fix)
         if self.trials < 1:
             raise StudyError(f"The study '{self.name}' has {self.trials} trials", "Give at least one")
+        if self.seed < 0:
+            raise StudyError(f"The study '{self.name}' has the seed {self.seed}", "Give zero or more")
 
     def method(self, name: str) -> Method:
         """A method by name."""

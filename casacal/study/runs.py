@@ -381,6 +381,8 @@ def open_run(study: Study, out: Path, *, quick: bool = False) -> Run:
     found = [r for r in read_records(out / RECORDS) if (r["setting"], r["method"], r["trial"]) in names]
     if not found:
         raise StudyError(f"'{out}' holds no record of the study '{study.name}'", "Run it first")
+    settings, methods = [*study.settings], [*study.methods]  # a run that was killed has not put them in order
+    found.sort(key=lambda r: (r["trial"], settings.index(r["setting"]), methods.index(r["method"])))
     return Run(study, tuple(found), out, quick)
 
 

@@ -269,6 +269,8 @@ def _hand_over(work: Work) -> dict[str, Any]:
         return {"state": AHEAD, "missing": f"A calibration that may be used. {work.arm.denial}"}
     verified = work.verified is not None and work.verified.passed
     missing = "" if verified else "A verification: targets can be corrected, and nobody has checked what they rely on"
+    if work.outdated:
+        missing = "A calibration of the touches as they are: some were made, or taken back, after this one"
     tip = work.arm.found.tip
     frames = [["tip", f"the tip of the tool that touched: error to expect {mm(tip.expected_mm)}"]]
     frames.append(["flange", f"the flange, for any other tool: error to expect {mm(tip.flange_expected_mm)}"])

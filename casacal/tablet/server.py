@@ -44,6 +44,7 @@ LARGEST = 4 << 20  # bytes of a request: a robot program, in base64
 IN_SPACE = ("space.js", "three.module.min.js")
 """Scripts that reports have as well."""
 STATIC = {"page.css": "text/css", **dict.fromkeys(("page.js", *IN_SPACE), "text/javascript")}
+LOOK = 10  # ticks between two looks at the files of the work
 TICK, BEAT = 0.1, 15.0  # seconds between two looks for a change, and between two signs of life to a window
 FILES_POLICY = (
     "sandbox allow-scripts; default-src 'none'; style-src 'unsafe-inline'; img-src data:; "
@@ -193,9 +194,11 @@ class Pages:
         """The version of the state, each time that it changes."""
 
         async def changes() -> AsyncIterator[str]:
-            last, silent = -1, 0.0
+            last, silent, ticks = -1, 0.0, 0
             while not await request.is_disconnected():
-                silent += TICK
+                silent, ticks = silent + TICK, ticks + 1
+                if ticks % LOOK == 0:  # what a terminal does to the files is shown too
+                    await run_in_threadpool(self.work.look)
                 if self.work.version != last or silent > BEAT:
                     last, silent = self.work.version, 0.0
                     yield f"data: {last}\n\n"

@@ -61,7 +61,7 @@ def tip_stds(covariance: Array, field: Array, off: Array | None = None) -> Array
 
     Args:
         covariance: of the unknowns (n, n); infinite variances count where the field sees them.
-        field: derivative (3 N, n) of the tips by the unknowns, apart from the position of the base if that is wanted.
+        field: derivative (3 N, n) of the tips by the unknowns, apart from the pose of the base if that is wanted.
         off: by how much the arm that is asked for leaves unknowns (n,) where they are not; it counts as an error.
 
     """
@@ -222,7 +222,7 @@ def accuracy_in_box(
 ) -> tuple[float, float]:
     """Tip error (mm RMS) to expect inside a box at x (n,), and its largest value there.
 
-    Both apart from the position of the base; `off` as for `tip_stds`. covariance: (n, n) of x, where it is not the
+    Both apart from the pose of the base; `off` as for `tip_stds`. covariance: (n, n) of x, where it is not the
     posterior's, as under a robust loss. Raises CasacalError when the arm hardly reaches the box.
     """
     joints, frame = joints_in_box(bound, x, box), workspace_joints(bound.problem.robot)

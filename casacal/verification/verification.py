@@ -352,7 +352,7 @@ def _vouches(found: Verification) -> str:
     what = "Small residuals are not accuracy: these rows do not see every direction in which the arm can err."
     if found.accuracy:
         reflector = " and of the reflector" if any(name.startswith("tool") for name in found.judged.own) else ""
-        what = "These are errors of the tip itself where it was measured, apart from the position of the base"
+        what = "These are errors of the tip itself where it was measured, apart from the pose of the base"
         what = f"{what}{reflector}."
     said = f"{what} These rows determine {found.seen} of the arm's {found.unknowns} unknown directions better than "
     if found.denied or not found.kept or not found.promised_tip_mm:

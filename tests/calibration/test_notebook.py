@@ -41,7 +41,7 @@ def test_parameters_are_a_frame_of_what_result_json_holds(found, hsr):
 
 def test_what_is_shown_says_what_it_is(found):
     before, now = found.tip_std
-    assert f"apart from the position of the base: {now:.3g} mm RMS (before: {before:.3g} mm)" in found.summary()
+    assert f"apart from the pose of the base: {now:.3g} mm RMS (before: {before:.3g} mm)" in found.summary()
     assert "HSR-JR680 by sckf-lm: 120 samples" in repr(found)
     assert "mm RMS, calibrated>" in repr(found)
     denied = dataclasses.replace(found, method="plane-only", result=found.before)

@@ -3,11 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from conftest import ROOT
 
-from casacal import calibrate, check, load_problem
-from casacal.data.repeats import once_each, standstills, without_copies
+from casacal import Samples, calibrate, check, load_problem
+from casacal.data.repeats import copies_of, once_each, standstills, without_copies
 
 LINES = 20
 
@@ -90,3 +91,36 @@ def test_a_joint_that_turns_on_and_on_has_no_limits(hsr):
         assert {
             each.about for each in check(problem, replace(samples, joints=joints)) if "limits" in each.about
         } == said
+
+
+def test_a_load_that_is_changed_while_the_arm_stands_begins_a_standstill():
+    _, samples = measured("instruments/tracker")
+    many = recorded(samples, 0.01)
+    load = np.tile(np.repeat([0.0, 5.0], LINES // 2), len(samples))
+    found = once_each(replace(many, extra={"payload_kg": load}))
+    assert found.extra["payload_kg"].tolist() == [0.0, 5.0] * len(samples)
+    half = many.columns["x"].reshape(-1, LINES // 2).mean(axis=1)
+    np.testing.assert_allclose(found.columns["x"], half, atol=1e-9)
+
+
+def test_what_was_measured_beside_the_readings_is_averaged_like_them():
+    _, samples = measured("instruments/tracker")
+    many = recorded(samples, 0.01)
+    torque = np.random.default_rng(3).normal(size=len(many))
+    found = once_each(replace(many, extra={"torque": torque}))
+    np.testing.assert_allclose(found.extra["torque"], means(torque), atol=1e-12)
+
+
+def test_rows_under_different_loads_are_no_copies():
+    _, samples = measured("instruments/tracker")
+    twice = samples.take([0, 0, 0])
+    assert copies_of(replace(twice, extra={"payload_kg": np.array([0.0, 5.0, 5.0])})).tolist() == [False, False, True]
+
+
+def test_a_frame_keeps_the_columns_that_its_file_keeps():
+    source = load_problem(ROOT / "problems" / "hsr_jr680")
+    frame = pd.read_csv(source.samples, comment="#").iloc[[0, 0]]
+    frame = frame.assign(purpose=["fit", "again"], shift=["early", "late"])
+    found = Samples.from_frame(frame, source.problem.layout())
+    assert found.extra["shift"] == ("early", "late")
+    assert copies_of(found).tolist() == [False, False]

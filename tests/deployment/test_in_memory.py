@@ -15,8 +15,22 @@ from conftest import ROOT
 from own_instrument import written
 
 import casacal
-from casacal import CasacalError, Problem, Samples, calibrate, huber, lm, load, load_problem, simulate, tukey
+from casacal import (
+    CasacalError,
+    Problem,
+    Robot,
+    Samples,
+    TrackedPoint,
+    calibrate,
+    huber,
+    lm,
+    load,
+    load_problem,
+    simulate,
+    tukey,
+)
 from casacal.cli.main import main
+from casacal.deployment.as_data import problem_data, problem_from
 from casacal.deployment.export import dh_text, export, ur_kinematics_text, urdf_text, zero_corrections, zeros_text
 from casacal.deployment.functions import c_text, pose_function, tip_function, values_of
 from casacal.deployment.predict import predict
@@ -377,3 +391,12 @@ def test_parts_of_another_kind_are_refused_in_a_sentence(hsr):
         Problem(robot, dial, terms=("waves",))
     with pytest.raises(CasacalError, match="Got an int as a result"):
         read_result(5)
+
+
+def test_whole_numbers_of_numpy_are_held_by_a_result():
+    table = {"a": [0, -425, -392, 0, 0, 0], "d": [89, 0, 0, 109, 94, 82]}
+    turns = np.radians([90, 0, 0, 90, -90, 0])
+    parts = {name: np.array(values) for name, values in table.items()}
+    robot = Robot.from_dh("arm", **parts, alpha=turns, theta=np.zeros(6))
+    problem = Problem(robot, TrackedPoint(noise_std=0.05))
+    assert problem_from(json.loads(json.dumps(problem_data(problem)))) == problem

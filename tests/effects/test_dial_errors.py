@@ -48,7 +48,7 @@ def shown_by(samples, percent=0.0, micrometres=0.0, turn=1.0):
 
 
 def tip_error(calibration, simulated):
-    """Of the calibrated arm over the workspace against the true one, mm RMS, apart from the position of the base."""
+    """Of the calibrated arm over the workspace against the true one, mm RMS, apart from the pose of the base."""
     joints, bound = workspace_joints(simulated.problem.robot), bind(simulated.problem, simulated.samples)
     true = bound.tips(simulated.truth(bound), joints)
     return tip_rms(without_rigid((calibration.fit.tips(calibration.x, joints) - true).ravel(), true))

@@ -15,9 +15,10 @@ from scipy.stats import chi2, multivariate_normal
 
 from casacal import CasacalError, bind, lm, load_problem, plan
 from casacal.model.capsules import Skeleton
+from casacal.model.instrument import readings_within
 from casacal.planning.clearance import Clearance
 from casacal.shopfloor import Session
-from casacal.shopfloor.conversation import answered, ended, out_of_travel, posture, to_expect, told
+from casacal.shopfloor.conversation import answered, doubt, ended, out_of_travel, posture, to_expect, told
 from casacal.shopfloor.gauges import gauge
 from casacal.shopfloor.known import LinearRows, _fitted, error_below, spectrum
 from casacal.shopfloor.touch import Touch, rows_of, slips_of
@@ -671,3 +672,21 @@ def test_the_touch_that_is_named_is_skipped(late):
         answer = answered(late, touch, line, gauge("plain"))
         assert words in answer.said[0]
         assert answer.session is late
+
+
+def test_the_end_of_the_dials_travel_is_warned_of(hsr, route):
+    planned = Session(hsr.problem, route).next()
+    low, high = readings_within(hsr.problem.instrument.probe.travel)
+    for reading, warned in ((high, True), (low, True), ((low + high) / 2, False)):
+        said = answered(Session(hsr.problem, route), planned, f"{reading:g}", gauge("plain")).said
+        assert ("end of its travel" in " ".join(said)) == warned
+
+
+def test_where_doubts_go_on_the_stated_accuracy_is_named(late, world):
+    session = late
+    for number, before in ((41, False), (42, True)):
+        joints, reading, face = world.touch(number)
+        session = session.take(joints, reading + 1.7, face, number=number)
+        assert ("kept before" in doubt(session)[0]) == before
+        while session.alarm is not None:
+            session = session.keep()

@@ -6,11 +6,13 @@ import os
 import subprocess
 import sys
 
+import casadi as ca
 import numpy as np
 import pytest
 from conftest import ROOT
 
 from casacal import lm, swarm
+from casacal.errors import StudyError
 from casacal.kernels.losses import huber
 from casacal.simulation import Simulated
 from casacal.study.description import code_fingerprint, fingerprint
@@ -108,3 +110,47 @@ def test_another_process_finds_the_same():
         found.append(done.stdout)
     assert found[0] == found[1]
     assert code_fingerprint() in found[0]
+
+
+def test_graphs_tell_by_what_they_compute():
+    def graph(kind, factor):
+        x = kind.sym("x")
+        return ca.Function("f", [x], [factor * x**2])
+
+    for kind in (ca.SX, ca.MX):
+        assert fingerprint(graph(kind, 2)) == fingerprint(graph(kind, 2)) != fingerprint(graph(kind, 3))
+    assert fingerprint(ca.DM([1, 2])) == fingerprint(ca.DM([1, 2])) != fingerprint(ca.DM([1, 3]))
+    assert fingerprint(2 * ca.MX.sym("x")) != fingerprint(3 * ca.MX.sym("x"))
+
+
+def test_what_only_its_address_tells_is_refused():
+    with pytest.raises(StudyError, match=r"uses a object, and nothing tells it.*inside the function"):
+        fingerprint([object()])
+
+
+def test_all_that_a_users_class_holds_tells():
+    def made(count, *, table=(1,)):
+        class Own:
+            rows, words = {"n": list(table)}, np.array(table)
+
+            @staticmethod
+            def steps():
+                return count
+
+            @classmethod
+            def more(cls):
+                return cls.steps() + count
+
+            @functools.cached_property
+            def kept(self):
+                return count
+
+        return Own
+
+    assert fingerprint(made(1)) == fingerprint(made(1))
+    assert len({fingerprint(made(1)), fingerprint(made(2)), fingerprint(made(1, table=(2,)))}) == 3
+    for name in ("steps", "more", "kept"):
+        one, other = made(1), made(2)
+        for each in {"steps", "more", "kept"} - {name}:
+            setattr(other, each, vars(one)[each])
+        assert fingerprint(one) != fingerprint(other), name

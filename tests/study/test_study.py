@@ -1,5 +1,6 @@
 """The harness: the same records whoever makes them, in whatever order, however often it is killed."""
 
+import dataclasses
 import json
 import os
 import random
@@ -469,3 +470,20 @@ def test_a_scheduler_that_is_lost_ends_in_a_sentence_and_the_run_goes_on(serial,
     assert "Traceback" not in ended.stderr
     found = run(tiny_study.study, tmp_path, file=TINY, resume=True)
     assert found.digest == serial.digest
+
+
+def test_records_of_a_killed_run_are_reported_trial_by_trial(serial, tmp_path):
+    lines = (serial.out / RECORDS).read_text().splitlines(keepends=True)
+    random.Random(1).shuffle(lines)
+    (tmp_path / RECORDS).write_text("".join(lines))
+    assert open_run(tiny_study.study, tmp_path).records == serial.records
+
+
+def test_numbers_of_numpy_in_a_record_are_numbers():
+    line = json.loads(to_line({"detail": {"x": np.array([1.5, np.nan]), "n": np.int64(3), "ok": np.bool_(True)}}))
+    assert line["detail"] == {"x": [1.5, None], "n": 3, "ok": True}
+
+
+def test_a_negative_seed_is_refused():
+    with pytest.raises(StudyError, match="has the seed -1"):
+        dataclasses.replace(tiny_study.study, seed=-1)

@@ -602,6 +602,21 @@ def measured(workplace, planned):
     return work
 
 
+def test_a_window_hears_of_what_others_do_to_the_files(measured):
+    plan_file = measured.place.plan_file
+    as_it_was = plan_file.read_bytes()
+    with served(measured) as (host, cookie):
+        request = urllib.request.Request(f"http://{host}/events", headers={"Cookie": cookie})
+        with OPENER.open(request, timeout=20) as events:
+            first = events.readline()
+            for content, trouble in ((as_it_was + b"# edited\n", "was changed after touches"), (as_it_was, "")):
+                plan_file.write_bytes(content)
+                events.readline()
+                assert events.readline() != first  # without anybody's asking
+                assert trouble in measured.trouble
+                assert bool(measured.trouble) == bool(trouble)
+
+
 def test_an_earlier_result_that_cannot_be_compared_leaves_the_new_arm_in_use(calibrated, monkeypatch):
     """Targets must not be those of the arm before; and touches are known by what they hold, not by when it was."""
     work = page_of(calibrated)
