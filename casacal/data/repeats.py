@@ -108,8 +108,9 @@ def once_each(samples: Samples) -> Samples:
 
 
 def _numbers_of(samples: Samples) -> dict[str, Array]:
-    """Further columns (N,) of numbers, which terms ask for."""
-    return {name: values for name, values in samples.extra.items() if isinstance(values, np.ndarray)}
+    """Further columns (N,) of numbers, which terms ask for; somebody's own column of purposes is none."""
+    found = {name: values for name, values in samples.extra.items() if isinstance(values, np.ndarray)}
+    return {name: values for name, values in found.items() if name != "purpose"}
 
 
 def without_copies(samples: Samples) -> Samples:

@@ -211,7 +211,6 @@ def _labels(table: Columns, name: str) -> Labels:
 
 
 SHOWN = 10  # rows that a notebook shows
-MANY = 10_000  # rows of a frame beyond which columns that nothing asks for are not kept
 
 
 STAYS = 1e-5  # rad or mm by which a joint moves that stays where it is
@@ -346,13 +345,14 @@ class Samples(Value):
         found = [[name for name in header if name in _spellings(*each)] for each in layout.quantities.items()]
         numbers = [name for each in found for name in each] + [name for name in header if name in layout.further]
         once = all(len(each) == 1 for each in found) and len(set(header)) == len(header)
-        swift = len(frame) > MANY or set(header) <= {*numbers, *layout.labels}  # which keeps no further columns
-        if swift and once and numbers and all(frame[name].dtype.kind in "iuf" for name in numbers):
+        if once and numbers and all(frame[name].dtype.kind in "iuf" for name in numbers):
             used = {name: frame[name].to_numpy() for name in numbers}
             for name in (name for name in layout.labels if name in header):
                 codes, met = frame[name].factorize(use_na_sentinel=False)
                 used[name] = np.array([text_of_cell(each) for each in met])[codes]
             columns = replace(columns_of_arrays(used, source, digest_of(used)), header=tuple(header))
+            if "purpose" in header and "purpose" not in numbers:  # of columns that nothing asks for it alone counts
+                columns = replace(columns, texts=lambda: {"purpose": tuple(map(text_of_cell, frame["purpose"]))})
         else:  # cell by cell, where what is wrong is said
             columns = table_of_frame(frame, source).columns
         return Samples.from_columns(columns, layout)

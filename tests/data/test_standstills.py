@@ -117,10 +117,10 @@ def test_rows_under_different_loads_are_no_copies():
     assert copies_of(replace(twice, extra={"payload_kg": np.array([0.0, 5.0, 5.0])})).tolist() == [False, False, True]
 
 
-def test_a_frame_keeps_the_columns_that_its_file_keeps():
+def test_a_frame_keeps_what_its_rows_were_made_for():
     source = load_problem(ROOT / "problems" / "hsr_jr680")
     frame = pd.read_csv(source.samples, comment="#").iloc[[0, 0]]
-    frame = frame.assign(purpose=["fit", "again"], shift=["early", "late"])
+    frame = frame.assign(purpose=["fit", "again"])
     found = Samples.from_frame(frame, source.problem.layout())
-    assert found.extra["shift"] == ("early", "late")
+    assert found.extra["purpose"] == ("fit", "again")
     assert copies_of(found).tolist() == [False, False]

@@ -41,6 +41,8 @@ def rtde_controller(arm):
     """HOST:PORT of a controller that answers version, recipe and start, and sends a message before each package."""
 
     class Handler(socketserver.StreamRequestHandler):
+        disable_nagle_algorithm = True  # which would put the parts together again
+
         def send(self, kind, payload):
             package = struct.pack(">HB", 3 + len(payload), ord(kind)) + payload
             for part in (package[:2], package[2:5], package[5:]):  # a network parts packages where it likes

@@ -138,6 +138,9 @@ def test_only_who_has_the_token_is_let_in(workplace):
         assert "unsafe" not in headers["Content-Security-Policy"]  # no script and no style that stands in the page
         assert "access-control-allow-origin" not in {name.lower() for name in headers}
         assert TOKEN not in text
+        _, headers, _ = ask(host, "/file/plan.csv", Cookie=cookie)
+        assert headers["Content-Security-Policy"].startswith("sandbox")  # files have a policy of their own
+        assert headers["X-Content-Type-Options"] == "nosniff"
 
 
 def test_other_names_and_other_origins_are_refused(workplace):
@@ -843,6 +846,7 @@ def test_a_verification_is_of_the_touches_kept_as_they_are(calibrated):
         assert "nobody has checked" in gates["hand_over"]["missing"]
     enter(work, f"u {fitted}")
     assert work.outdated
+    assert "as they are" in document(work)["gates"]["hand_over"]["missing"]
 
 
 def test_a_problem_that_was_edited_asks_for_a_restart_and_a_restart_begins(calibrated):
