@@ -536,7 +536,7 @@ def unforeseen(error: Exception) -> str:
 
 def for_page(words: str) -> str:
     """Words of casacal for its page, which has neither commands nor options: where they name some, that is said."""
-    own = "these are commands and options of casacal in a terminal, and this page has its gates in their place"
+    own = "these are commands and options of casacal in a terminal, which can take turns with this page"
     if OF_SET_UPS.search(words):
         own = "options of casacal plan in a terminal: end this page, plan there, and serve the problem that it writes"
     return f"{words} ({own})" if OF_TERMINAL.search(words) else words
