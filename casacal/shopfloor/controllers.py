@@ -7,6 +7,7 @@ ABB: Robot Web Services of RobotWare 6 (HTTP, digest) and 7 (HTTPS, basic), reso
 
 from __future__ import annotations
 
+import json
 import math
 import socket
 import struct
@@ -29,7 +30,7 @@ BETWEEN = 0.1  # seconds between two looks at an arm, which stands where both ag
 STILL = math.radians(0.01)  # rad by which they may differ: encoders flicker by less, a jogged arm moves by more
 AXES = 6
 RTDE_PORT = 30004
-LARGEST = 4096  # bytes of a package
+LARGEST = 4096  # bytes of a package, and of a page of RWS, that are read
 
 
 @dataclass(frozen=True)
@@ -148,8 +149,8 @@ def rws(address: str) -> Callable[[], Array]:
         raise CasacalError(f"'{scheme}' is not how a controller is asked", "Give http://HOST or https://HOST")
     known = (user or DEFAULT_USER, password or DEFAULT_PASSWORD)
     newer = scheme == "https"
+    url = f"{scheme or 'http'}://{server}/rw/motionsystem/mechunits/{quote(unit or 'ROB_1', safe='')}/jointtarget"
     link = httpx.Client(
-        base_url=f"{scheme or 'http'}://{server}/rw/motionsystem/mechunits/",
         auth=known if newer else httpx.DigestAuth(*known),
         headers={"Accept": "application/hal+json;v=2.0" if newer else "application/json"},
         params={} if newer else {"json": "1"},
@@ -163,12 +164,13 @@ def rws(address: str) -> Callable[[], Array]:
     def ask() -> Array:
         with lock:
             try:
-                page = link.get(f"{quote(unit or 'ROB_1', safe='')}/jointtarget")
-            except httpx.HTTPError as error:
+                with link.stream("GET", url) as page:
+                    content = next(page.iter_bytes(LARGEST), b"")
+            except (httpx.HTTPError, httpx.InvalidURL) as error:
                 raise OSError(str(error)) from None
         if page.is_error:
             raise ValueError(f"it answers {page.status_code} {page.reason_phrase}")
-        document: Mapping[str, Any] = page.json()
+        document: Mapping[str, Any] = json.loads(content)
         state = document["state"] if "state" in document else document["_embedded"]["_state"]
         return np.radians([float(state[0][f"rax_{k}"]) for k in range(1, AXES + 1)])
 

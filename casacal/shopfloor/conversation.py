@@ -305,8 +305,9 @@ def to_expect(session: Session, touch: Touch) -> str:
         f"{name} about {touch.columns[name] * WRITTEN[kind][1]:.2f}{WRITTEN[kind][0].replace('_', ' ')} as planned"
         for name, kind in session.problem.layout().columns.items()
     )
-    unknown = probe is not None and planned and session.problem.layout().labels
-    return f"{planned}; where the face is, no touch has told yet: come slowly" if unknown else planned
+    what, labels = session.problem.instrument.words.group, session.problem.layout().labels
+    unknown = probe is not None and planned and labels
+    return f"{planned}; where the {what} is, no touch has told yet: approach slowly" if unknown else planned
 
 
 def posture(session: Session, touch: Touch) -> str:

@@ -106,7 +106,7 @@ def _state(value: Any) -> Any:
     if hasattr(value, "__dict__"):
         return vars(value)
     if " at 0x" in (text := str(value)):
-        what = f"The study uses a {type(value).__name__}, and nothing tells it from another one"
+        what = f"The study uses an object of the kind {type(value).__name__}, which nothing tells from another one"
         raise StudyError(what, "Make it inside the function that uses it")
     return text
 

@@ -4,6 +4,10 @@ import math
 import shutil
 import subprocess
 import sys
+import threading
+from contextlib import suppress
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from itertools import repeat
 
 import pytest
 from conftest import ROOT
@@ -106,6 +110,42 @@ def test_an_arm_of_other_joints_is_refused():
     robot = load_problem(ROOT / "problems" / "adept_cobra600").problem.robot
     with pytest.raises(CasacalError, match="six turning joints"):
         controller("rtde:127.0.0.1", robot)
+
+
+@pytest.mark.parametrize("page", [b"{", b"[]", b'{"state": [{}]}', b'{"state": "' + 5000 * b"x", None])
+def test_what_is_no_page_of_rws_is_no_joint_value(robot, page):
+    """None: a page without an end, of which no more is read than a page of RWS holds."""
+    sent = 0
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self):
+            nonlocal sent
+            self.send_response(200)
+            self.end_headers()
+            with suppress(OSError):
+                for part in [page] if page is not None else repeat(10_000 * b" "):
+                    self.wfile.write(part)
+                    sent += len(part)
+
+        def log_message(self, *_):
+            """Nothing is printed."""
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    server.daemon_threads = True
+    threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True).start()
+    try:
+        with pytest.raises(CasacalError, match="gives no joint values"):
+            controller(f"rws:127.0.0.1:{server.server_address[1]}", robot).joints()
+    finally:
+        server.shutdown()
+        server.server_close()
+    assert sent < 100_000_000
+
+
+@pytest.mark.parametrize("host", ["ä" * 70, "a[b", "[::1", "%", "xn--a", "a..b", "1.2.3.4.5"])
+def test_a_host_that_cannot_be_is_said_when_it_is_asked(robot, host):
+    with pytest.raises(CasacalError, match=r"gives no joint values|no address"):
+        controller(f"rws:{host}", robot).joints()
 
 
 def test_a_missing_library_is_said(robot, monkeypatch):

@@ -124,7 +124,7 @@ def test_graphs_tell_by_what_they_compute():
 
 
 def test_what_only_its_address_tells_is_refused():
-    with pytest.raises(StudyError, match=r"uses a object, and nothing tells it.*inside the function"):
+    with pytest.raises(StudyError, match=r"of the kind object, which nothing tells.*inside the function"):
         fingerprint([object()])
 
 
