@@ -18,7 +18,7 @@ from casacal.model.problem import Problem
 from casacal.planning.route import CHECK, joints_shown
 from casacal.shopfloor.gauges import GAUGES, UNITS, Gauge
 from casacal.shopfloor.known import per_reading
-from casacal.shopfloor.session import Session
+from casacal.shopfloor.session import DEVIATIONS, Session
 from casacal.shopfloor.touch import Touch, beyond_travel
 from casacal.values import Array
 from casacal.wording import counted, figures, sentence, times
@@ -34,7 +34,6 @@ COMMANDS = (
 )
 
 NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
-DEVIATIONS = 3.0  # standard deviations by which a reading may be another than is expected
 ALIKE = 1e-9  # mm or rad by which equal readings differ
 SAME_POSTURE = 1e-5  # rad or mm by which joint values differ that are of one touch of the plan
 UNLIKELY = 0.01  # chance of touches kept to verify below which they do not agree with the others
@@ -54,7 +53,7 @@ def help_words(problem: Problem, gauge: Gauge | None = None) -> str:
     read, reading = in_units(layout, gauge), "reading" if len(layout.columns) == 1 else "readings"
     said = ["Bring the arm to the posture.", *([sentence(words.approach)] if words.approach else [])]
     said.append(
-        "If the controller shows the joint values as planned, "
+        "If the controller shows these joint values, "
         f"{f'type the {reading} alone ({read})' if read else 'press Enter'}; otherwise type all joint values "
         f"(degrees, mm){f' and the {reading}' if read else ''}."
     )
@@ -189,7 +188,10 @@ def _of_another(session: Session, joints: Array, proposed: Touch | None) -> int 
     """The touch of the plan whose joint values these are, where another one is waited for; None where none is."""
     if session.plan is None or proposed is None:
         return None
-    off = np.abs(session.plan.samples.joints - joints).max(axis=1)
+    planned = session.plan.samples.joints
+    off = np.abs(planned - joints).max(axis=1)
+    if proposed.number is not None:  # which may have been moved, and is made twice in some plans
+        off[np.abs(planned - planned[proposed.number - 1]).max(axis=1) < SAME_POSTURE] = np.inf
     if np.abs(proposed.joints - joints).max() < SAME_POSTURE or off.min() >= SAME_POSTURE:
         return None
     return int(off.argmin()) + 1
@@ -296,18 +298,49 @@ def out_of_travel(session: Session, touch: Touch) -> str | None:
     )
 
 
+def within_travel(session: Session, touch: Touch) -> Touch | None:
+    """A touch moved along its plunger to where the dial reads it; None where it does as planned, or nobody knows."""
+    found, probe = session.expected(touch), session.problem.instrument.probe
+    if found is None or probe is None:
+        return None
+    low, high = readings_within(probe.travel)
+    likely = low <= found[0] <= high and out_of_travel(session, touch) is None
+    return None if likely else session.brought(touch)
+
+
 def to_expect(session: Session, touch: Touch) -> str:
-    """What to expect of a touch: by the touches so far where they tell, else as planned."""
+    """What to expect of a touch: by the touches so far where they tell, else as planned; and whether it was moved."""
     found, probe = told(session, touch), session.problem.instrument.probe
+    moved = _beside_plan(session, touch)
     if found is not None and probe is not None:
-        return f"{probe.column} about {found[0]:.2f} mm (standard deviation {figures(found[1], 2)} mm)"
+        return f"{probe.column} about {found[0]:.2f} mm (standard deviation {figures(found[1], 2)} mm){moved}"
     planned = ", ".join(
-        f"{name} about {touch.columns[name] * WRITTEN[kind][1]:.2f}{WRITTEN[kind][0].replace('_', ' ')} as planned"
+        f"{name} about {touch.columns[name] * WRITTEN[kind][1]:.2f}{WRITTEN[kind][0].replace('_', ' ')}"
         for name, kind in session.problem.layout().columns.items()
     )
-    what, labels = session.problem.instrument.words.group, session.problem.layout().labels
-    unknown = probe is not None and planned and labels
-    return f"{planned}; where the {what} is, no touch has told yet: approach slowly" if unknown else planned
+    what, vague = session.problem.instrument.words.group, session.expected(touch)
+    if planned and not moved:
+        planned = f"{planned} as planned"
+    if probe is None or not planned or not session.problem.layout().labels:
+        return planned
+    known = f"where the {what} is, no touch has told yet"
+    if vague is not None and any(each.labels == touch.labels for each in session.touches):
+        known = f"touches tell to {figures(DEVIATIONS * vague[1], 2)} mm where the {what} is"
+    return f"{planned}{moved}; {known}: approach slowly"
+
+
+def _beside_plan(session: Session, touch: Touch) -> str:
+    """A clause on how far a touch of the plan was moved, and why; empty where it was not."""
+    probe = session.problem.instrument.probe
+    planned = None if session.plan is None else session.planned(touch.number)
+    found = None if planned is None else session.expected(planned)
+    if planned is None or found is None or probe is None or np.array_equal(planned.joints, touch.joints):
+        return ""
+    column = probe.column or ""
+    forward = (found[0] - touch.columns[column]) * probe.sign
+    way, where = ("forward", "further away") if forward > 0 else ("back", "nearer")
+    what = session.problem.instrument.words.group
+    return f"; the arm is to stand {abs(forward):.1f} mm further {way} than planned, because the {what} is {where}"
 
 
 def posture(session: Session, touch: Touch) -> str:

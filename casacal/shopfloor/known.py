@@ -28,6 +28,8 @@ from casacal.planning.clearance import Clearance
 from casacal.planning.route import CHECK
 from casacal.shopfloor.touch import Slip, Touch, rows_of
 from casacal.simulation.cell import Disturbances
+from casacal.simulation.places import drawn_arm
+from casacal.simulation.touches import TouchingArm
 from casacal.uncertainty.fresh_rows import chance, covariance_root
 from casacal.values import Array, Value, read_only
 
@@ -43,6 +45,7 @@ AS_GOOD = 4  # explanations that are named at most
 FACTORS = tuple(1.25**k for k in range(1, 18))  # noise over what was stated, among which the likeliest is looked for
 TELLING = 4.5  # logarithm of likelihoods from which on stated noise is given up: e^4.5, 90 to one
 NEAR, MOVES = 0.5, 5  # part of what it begins with by which a face may be elsewhere; times that it is moved
+STOOD = 2.0  # times that faces may stand further off their plan than filters begin with: 20 mm and 0.02 rad
 FEWEST = 12  # touches from which on their scatter is looked at
 SURE = 0.95  # part of all arms whose error stays below what is promised
 POOL = 600  # touches among which the next one is looked for
@@ -203,6 +206,13 @@ class SessionSetting(Value):
     def further(self) -> Samples:
         """Touches beyond the plan, among which the next one is looked for."""
         return pool_of(self.problem, self.cell, POOL, 7, self.clearance)
+
+    @cached_property
+    def arm(self) -> TouchingArm:
+        """The plunger on the arm as drawn, of an instrument that has one."""
+        probe = self.problem.instrument.probe
+        assert probe is not None
+        return drawn_arm(self.problem, probe, np.random.default_rng(0))
 
     def known_by(self, touches: Sequence[Touch], before: Known | None) -> Known | None:
         """Belief from the usable touches, None without any; `before`: the belief a touch ago."""
@@ -386,7 +396,7 @@ def _with_starts(bound: BoundProblem) -> BoundProblem:
     """Problem with flat priors as wide as a filter's start, so that few touches leave the covariance finite."""
     flat = np.flatnonzero(~np.isfinite(bound.prior_std))
     names = tuple(bound.names[j] for j in flat)
-    wide = Gaussian(names, bound.x0[flat], np.diag(bound.start_std[flat] ** 2))
+    wide = Gaussian(names, bound.x0[flat], np.diag((STOOD * bound.start_std[flat]) ** 2))
     stated = stated_prior(bound.problem.constraints, bound.slots)
     return bound.with_known(wide if stated is None else stated.beside(wide))
 

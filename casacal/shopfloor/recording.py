@@ -10,16 +10,24 @@ from pathlib import Path
 import numpy as np
 
 from casacal.data.columns import Labels
-from casacal.data.samples import WRITTEN
+from casacal.data.samples import WRITTEN, Samples
 from casacal.errors import CasacalError, SamplesError, SimulationError
 from casacal.model.problem_file import ProblemFile
 from casacal.planning.choice import wanted_joints
 from casacal.planning.clearance import Clearance, hindered
 from casacal.planning.route import Route, read_route, refuse_plan_of_another, renumbered
-from casacal.shopfloor.conversation import Answer, answered, command_of, out_of_travel, repeats_last, touch_of
+from casacal.shopfloor.conversation import (
+    Answer,
+    answered,
+    command_of,
+    out_of_travel,
+    repeats_last,
+    touch_of,
+    within_travel,
+)
 from casacal.shopfloor.gauges import Gauge
 from casacal.shopfloor.session import Session
-from casacal.shopfloor.touch import Touch, TouchFile
+from casacal.shopfloor.touch import Touch, TouchFile, rows_of
 from casacal.values import Array
 from casacal.wording import counted
 
@@ -38,7 +46,8 @@ class Recording:
     session: Session
     file: TouchFile
     gauge: Gauge
-    hindered: Mapping[int, str] = field(default_factory=dict)
+    table: float = 0.0
+    clearance: Clearance = field(default_factory=Clearance)
     stands: Callable[[], Array] | None = None
     doubled: str | None = None
     """The gauge's last line where it repeats the reading before, about which the operator is asked."""
@@ -46,13 +55,29 @@ class Recording:
     def __post_init__(self) -> None:
         self._stamps = self.file.stamps()
         self._proposed: tuple[Session, Touch | None] | None = None
+        self._warning: str | None = None
+        self._hit = {} if self.session.plan is None else self._hindered(self.session.plan.samples)
 
     @property
     def proposed(self) -> Touch | None:
-        """The touch to make next; None where enough has been touched. Raises SimulationError as `Session.next`."""
+        """The touch to make next; None where enough has been touched. Raises SimulationError as `Session.next`.
+
+        One whose face stands where the dial would be crushed, or would not touch, is moved along its plunger.
+        """
         if self._proposed is None or self._proposed[0] is not self.session:
-            self._proposed = self.session, self.session.next()
+            touch = self.session.next()
+            beyond = None if touch is None else out_of_travel(self.session, touch)
+            moved = None if touch is None else within_travel(self.session, touch)
+            hit = None if touch is None else self._hit.get(touch.number or 0)
+            if moved is not None and not self._hindered(rows_of([moved])):
+                touch, beyond, hit = moved, None, None
+            self._warning = beyond if hit is None else f"do not go to the next posture ({hit}); s skips it"
+            self._proposed = self.session, touch
         return self._proposed[1]
+
+    def _hindered(self, postures: Samples) -> dict[int, str]:
+        """What of the drawn arm collides, by row from 1."""
+        return hindered(self.session.problem, postures, self.table, self.clearance)
 
     @property
     def overtaken(self) -> bool:
@@ -62,12 +87,7 @@ class Recording:
     @property
     def warning(self) -> str | None:
         """A clause on why the arm must not go to the proposed posture; None where nothing speaks against it."""
-        proposed = self.proposed
-        if proposed is None:
-            return None
-        if (hit := self.hindered.get(proposed.number or 0)) is not None:
-            return f"do not go to the next posture ({hit}); s skips it"
-        return out_of_travel(self.session, proposed)
+        return None if self.proposed is None else self._warning
 
     def enter(self, line: str, *, sent: bool = False) -> Answer:
         """Judge a line, typed or sent by the gauge, and write what it changes.
@@ -171,8 +191,7 @@ def begun(
     if touches:
         begin = replace(begin.resumed(touches), skipped=frozenset(number for number in skipped if number <= len(route)))
         said.append(f"Going on after {counted(len(touches), 'touch')} of {Path(out).as_posix()}")
-    hit = hindered(begin.problem, route.samples, table, clearance)
-    return Recording(begin, file, gauge, hit, stands), said
+    return Recording(begin, file, gauge, table, clearance, stands), said
 
 
 def plan_mark(source: ProblemFile, plan: str | Path) -> str:

@@ -12,7 +12,9 @@ from scipy.special import bdtrc
 
 from casacal.errors import CasacalError, SimulationError, came, refuse_unknown
 from casacal.fit.filters import Belief
+from casacal.model.instrument import readings_within
 from casacal.model.problem import Problem
+from casacal.model.robot import AXIS_WEIGHT, inside_limits
 from casacal.planning.candidates import refuse_several
 from casacal.planning.choice import wanted_field, wanted_joints
 from casacal.planning.clearance import Clearance
@@ -39,6 +41,8 @@ from casacal.simulation.cell import Disturbances
 from casacal.values import Array, Box, Value, as_given, is_real
 
 MISTYPED = 0.05  # part of all touches that people mistype at most
+DEVIATIONS = 3.0  # standard deviations by which a reading may be another than is expected
+BROUGHT = 0.1  # mm by which a posture further along the plunger may miss its place
 TOO_MANY = 1e-3  # chance of so many answers to doubts below which it was not mistyping
 
 
@@ -204,6 +208,26 @@ class Session(Value):
             return None
         off, std = (float(each[0, 0]) for each in innovations_at(known, [touch]))
         return touch.columns[probe.column] - off / slope, std / abs(slope)
+
+    def brought(self, touch: Touch) -> Touch | None:
+        """The touch from further along its plunger, where by the touches so far it reads as planned, or safely inside.
+
+        None where they do not tell, and where the arm does not get there with the plunger in the same direction.
+        """
+        found, probe = self.expected(touch), self.problem.instrument.probe
+        if found is None or probe is None or probe.column is None:
+            return None
+        (reading, std), (low, high) = found, readings_within(probe.travel)
+        spread = min(DEVIATIONS * std, (high - low) / 2)
+        wanted = min(max(touch.columns[probe.column], low + spread), high - spread)
+        arm, planned = self._setting.arm, touch.joints[None]
+        tip, plunger = arm.place(arm.local, planned, np.array([[reading]]))  # where it meets the face as it stands
+        joints = arm.reach(tip, plunger, np.array([wanted]), planned)
+        tip_there, plunger_there = arm.place(arm.local, joints, np.array([[wanted]]))
+        miss = max(np.abs(tip_there - tip).max(), AXIS_WEIGHT * np.abs(plunger_there - plunger).max())
+        if miss > BROUGHT or not inside_limits(self.problem.robot, joints).all():
+            return None
+        return replace(touch, joints=joints[0], columns={**touch.columns, probe.column: wanted})
 
     def needed(self) -> int | None:
         """How many more well-chosen touches the tolerance takes; None where there is none, or 200 are not enough."""

@@ -190,8 +190,13 @@ def _of_joints(problem: Problem, touch: Touch, planned: Touch | None) -> Iterato
     if turns.sum() > 1 and np.abs(np.degrees(joints[turns])).max() < 2 * math.pi:
         in_rad = {i: math.degrees(joints[i]) for i in np.flatnonzero(turns).tolist()}
         yield slip("radians", "joint values in radians, not degrees", in_rad, -3.0)
+    elsewhere = [] if planned is None else np.flatnonzero(np.abs(planned.joints - joints) > 1e-9).tolist()
+    beside = len(elsewhere) > len(joints) / 2  # jogged there, or sent there by the session
+    if planned is not None and beside:
+        drawn = {i: float(planned.joints[i]) for i in elsewhere}
+        yield slip("joint", "the arm stood at the joint values of the plan", drawn, -6.0)
     for i, value in enumerate(joints.tolist()):
-        if planned is not None and abs(planned.joints[i] - value) > 1e-9:
+        if planned is not None and i in elsewhere and not beside:
             words = f"joint {i + 1} as planned: {planned.joints[i] * factor[i]:.{SHOWN}f} {unit[i]}"
             yield slip("joint", words, {i: float(planned.joints[i])}, -1.0)
         yield slip("joint sign", f"the sign of joint {i + 1}", {i: -value}, -3.0)

@@ -340,7 +340,7 @@ def test_touches_are_called_by_the_numbers_that_are_shown(planned, tmp_path, mon
 
 def test_a_session_that_ends_in_doubt_says_so(planned, tmp_path, monkeypatch, capsys):
     path, route, _ = planned
-    elsewhere = np.degrees(route.samples.joints[0]) + np.array([0, 0, 30, 0, 0, 0])
+    elsewhere = np.degrees(route.samples.joints[0]) + np.array([0, 0, 60, 0, 0, 0])
     feed(monkeypatch, [" ".join(f"{value:.4f}" for value in elsewhere) + " 3.2"])
     assert main(["measure", str(HSR), "--plan", str(path), "--out", str(tmp_path / "s.csv")]) == 1
     assert "is still in doubt" in capsys.readouterr().out

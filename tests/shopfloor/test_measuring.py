@@ -13,14 +13,17 @@ from measured_world import World, taken
 from scipy.optimize import least_squares
 from scipy.stats import chi2, multivariate_normal
 
-from casacal import CasacalError, bind, lm, load_problem, plan
+from casacal import CasacalError, Problem, bind, lm, load_problem, plan
 from casacal.model.capsules import Skeleton
 from casacal.model.instrument import readings_within
+from casacal.planning import read_route
 from casacal.planning.clearance import Clearance
+from casacal.planning.plan import write_plan
 from casacal.shopfloor import Session
 from casacal.shopfloor.conversation import answered, doubt, ended, out_of_travel, posture, to_expect, told
 from casacal.shopfloor.gauges import gauge
 from casacal.shopfloor.known import LinearRows, _fitted, error_below, spectrum
+from casacal.shopfloor.recording import begun
 from casacal.shopfloor.touch import Touch, rows_of, slips_of
 from casacal.uncertainty.tip_error import expected_accuracy
 
@@ -239,7 +242,7 @@ def test_what_is_right_is_left_alone(hsr, route):
 def test_who_accepts_one_untrue_suggestion_after_the_other_is_told(hsr, route, world, wrong):
     """What is wrong is shared by all touches; each suggestion fits, and the expected error would shrink with each."""
     session, errors = Session(hsr.problem, route), []
-    for number in range(1, 25):
+    for number in range(1, 31):
         joints, reading, face = world.touch(number)
         joints[3] += 0.2 * (wrong == "joint 4")
         face = {"side": "wall", "wall": "side"}.get(face, face) if wrong == "faces" else face
@@ -690,3 +693,127 @@ def test_where_doubts_go_on_the_stated_accuracy_is_named(late, world):
         assert ("kept before" in doubt(session)[0]) == before
         while session.alarm is not None:
             session = session.keep()
+
+
+def tip_and_plunger(q, reading):
+    """Tip (3, mm) and direction (3,) of the HSR's dial as drawn, by its DH matrices; its plunger is along joint 6."""
+    table = ((-90, 249.85003, 653.5, 0), (0, 900.32123, 0, -90), (90, -206.14449, 0, 180), (-90, 0, 1030.37534, 0),
+             (90, 0, 0, 90), (0, 0, 200.6, 0))  # fmt: skip
+    pose = np.eye(4)
+    for (alpha, a, d, theta), turn in zip(table, q, strict=True):
+        ct, st = np.cos(turn + np.radians(theta)), np.sin(turn + np.radians(theta))
+        ca, sa = np.cos(np.radians(alpha)), np.sin(np.radians(alpha))
+        pose = pose @ [[ct, -st * ca, st * sa, a * ct], [st, ct * ca, -ct * sa, a * st], [0, sa, ca, d], [0, 0, 0, 1]]
+    return pose[:3, 3] + reading * pose[:3, 2], pose[:3, 2]
+
+
+def begun_on_disk(hsr, folder, **options):
+    """A recording of a plan of 40 touches in a folder, and its route."""
+    if not (folder / "plan.csv").exists():
+        made = plan(hsr.problem, hsr.cell, touches=40, pool=300, starts=1, seed=8)
+        write_plan(folder / "plan.csv", made, hsr.problem, hsr.name)
+    clear = options.pop("clearance", Clearance())
+    made, _ = begun(hsr, folder / "plan.csv", folder / "s.csv", gauge("plain"), table=0.0, clearance=clear, **options)
+    return made, read_route(folder / "plan.csv", hsr.problem.layout())
+
+
+def read_truly(far, touch):
+    """What the true dial reads at the joint values of a touch."""
+    one, planned = rows_of([touch]), np.array([touch.columns["reading"]])
+    here = far.residual(one, one.joints, planned)
+    return float((planned - here / (far.residual(one, one.joints, planned + 1.0) - here))[0])
+
+
+@pytest.mark.parametrize(
+    ("apart", "tilt", "seed"), [(13.0, 0.0175, 5), pytest.param(40.0, 0.05, 2, marks=pytest.mark.long)]
+)
+def test_postures_are_moved_to_where_their_plates_stand(hsr, tmp_path, apart, tilt, seed):
+    """Plates stand elsewhere than planned: after their first touches nobody looks for them by hand any more."""
+    recording, route = begun_on_disk(hsr, tmp_path)
+    far, by_hand, moved, doubted, rng = (
+        World(hsr.problem, route, seed=seed, faces=(apart, tilt)),
+        0,
+        0,
+        0,
+        np.random.default_rng(1),
+    )
+    far_off = sum(not 0 <= read_truly(far, Touch.of(route.samples, k)) <= 10 for k in range(len(route)))
+    for number in range(1, len(route) + 1):
+        session, touch = recording.session, recording.proposed
+        planned, reading = session.planned(number), read_truly(far, touch)
+        assert touch.number == number
+        assert recording.warning is None
+        if not np.array_equal(touch.joints, planned.joints):
+            moved += 1
+            wanted, before = touch.columns["reading"], session.expected(planned)[0]
+            there, along = tip_and_plunger(touch.joints, wanted)
+            here, planned_along = tip_and_plunger(planned.joints, before)
+            assert there == pytest.approx(here, abs=0.15), "it meets the face at the same place"
+            assert along == pytest.approx(planned_along, abs=1e-3), "from the same direction"
+            spread = min(3 * session.expected(planned)[1], 5.0)
+            assert spread - 1e-9 <= wanted <= 10 - spread + 1e-9, "not where the dial may be crushed"
+            way = (before - wanted) * hsr.problem.instrument.sign
+            words = f"{abs(way):.1f} mm further {'forward' if way > 0 else 'back'} than planned"
+            assert words in posture(session, touch)
+        else:
+            assert "than planned" not in posture(session, touch)
+        if 0 <= reading <= 10:
+            answer = recording.enter(f"{reading + rng.normal() * hsr.problem.instrument.noise_std:.3f}")
+            assert recording.session.touches[-1].joints == pytest.approx(touch.joints, abs=1e-12)
+        else:
+            by_hand += 1
+            joints, reading, _ = far.touch(number)
+            answer = recording.enter(" ".join([*(f"{each:.4f}" for each in np.degrees(joints)), f"{reading:.3f}"]))
+        assert answer.change == "added", answer.said
+        if recording.session.alarm is not None:
+            doubted += 1
+            recording.enter("k")
+    assert far_off > 20
+    assert moved > 20
+    assert by_hand <= 10
+    assert doubted <= (1 if apart < 20 else 4)
+
+
+def test_a_posture_is_not_moved_to_where_the_arm_cannot_go(hsr, tmp_path, monkeypatch):
+    """Joint limits, and what it must keep clear of; then the posture of the plan is warned of as before."""
+    recording, route = begun_on_disk(hsr, tmp_path)
+    far = World(hsr.problem, route, seed=5, faces=(13.0, 0.0175))
+    for number in range(1, 11):
+        joints, reading, _ = far.touch(number)
+        recording.enter(" ".join([*(f"{each:.4f}" for each in np.degrees(joints)), f"{reading:.3f}"]))
+    session = recording.session
+    number = next(n for n in range(11, 41) if out_of_travel(session, session.planned(n)) is not None)
+    planned = session.planned(number)
+    assert session.brought(planned) is not None
+    pairs = zip(hsr.problem.robot.axes, planned.joints, strict=True)
+    tight = tuple(replace(joint, lower=q - 1e-4, upper=q + 1e-4) for joint, q in pairs)
+    held = Problem(replace(session.problem.robot, joints=tight), *session.problem.instruments)
+    assert replace(session, problem=held).brought(planned) is None
+
+    monkeypatch.setattr("casacal.shopfloor.session.Session.next", lambda session: planned)
+    recording._proposed = None
+    assert not np.array_equal(recording.proposed.joints, planned.joints)
+    monkeypatch.setattr("casacal.shopfloor.recording.hindered", lambda *_: {1: "link 3 against the table"})
+    recording._proposed = None
+    assert np.array_equal(recording.proposed.joints, planned.joints)
+    assert recording.warning == out_of_travel(session, planned)
+
+
+def test_who_stood_at_the_joint_values_of_the_plan_is_told_so(late, world):
+    """A posture was moved, the arm went where a program of the plan sends it, and the reading alone was taken."""
+    number = next(n for n in range(41, 51) if late.planned(n).purpose == "fit")
+    planned, (joints, _, _) = late.planned(number), world.touch(number)
+    assert joints == pytest.approx(planned.joints, abs=0.05)
+    mean = replace(late.planned(number), joints=joints)
+    moved = joints + np.array([0.004, -0.006, 0.01, 0.003, -0.008, 0.002])
+    slips = slips_of(late.problem, replace(mean, joints=moved), replace(planned, joints=joints), {})
+    (named,) = (each for each in slips if each.words == "the arm stood at the joint values of the plan")
+    assert named.touch.joints == pytest.approx(joints)
+    assert not any("as planned" in each.words for each in slips)
+    typed = joints.copy()
+    typed[2] += 0.1
+    words = [
+        each.words for each in slips_of(late.problem, replace(mean, joints=typed), replace(planned, joints=joints), {})
+    ]
+    assert any(each.startswith("joint 3 as planned") for each in words)
+    assert "the arm stood at the joint values of the plan" not in words
