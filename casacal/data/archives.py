@@ -263,6 +263,8 @@ def text_of_cell(cell: Any) -> str:
     if isinstance(cell, (float, np.floating)):
         cell = float(cell)
         return "" if cell != cell else str(int(cell)) if cell.is_integer() and abs(cell) < 1e15 else repr(cell)
+    if isinstance(cell, np.datetime64) and np.isnat(cell):
+        return ""
     return "" if type(cell).__name__ in ("NAType", "NaTType") else str(cell).strip()
 
 

@@ -362,6 +362,10 @@ class Samples(Value):
         """Samples from arrays (N,) by the column names of a samples file; raises SamplesError."""
         from casacal.data.archives import columns_of_arrays, digest_of, text_of_cell
 
+        for name, values in arrays.items():
+            if np.ma.is_masked(values):
+                row = int(np.flatnonzero(np.ma.getmaskarray(values))[0]) + 1
+                raise SamplesError(source, "the value is masked", "Leave the row out", line=row, column=str(name))
         columns = {str(name): np.asarray(values) for name, values in arrays.items()}
         for name, values in columns.items():
             if values.dtype == object:
@@ -446,9 +450,11 @@ JOINT_DECIMALS = 7
 def write_samples(path: str | Path, layout: Layout, samples: Samples, comments: Sequence[str]) -> None:
     """Write samples as a CSV file that `Problem.read` reads: angles in degrees, lengths in mm, numbers as they are.
 
-    layout: of `Problem.layout`. comments: lines above the header. What touches of a plan are for stands beside them.
+    layout: of `Problem.layout`. comments: lines above the header. What touches of a plan are for, and what the layout
+    asks for beside readings, stand beside them.
     """
-    after = {name: [str(cell) for cell in samples.extra[name]] for name in ("purpose",) if name in samples.extra}
+    beside = [name for name in (*layout.further, "purpose") if name in samples.extra]
+    after = {name: [str(cell) for cell in samples.extra[name]] for name in beside}
     write_text(path, samples_text(layout, samples, comments, after=after))
 
 
@@ -475,7 +481,9 @@ def samples_text(
         quantities.append((prefix + name, kind, samples.columns[name], max(WRITTEN[kind][2], least_decimals)))
     for name, kind, values, decimals in quantities:
         ending, factor, _ = WRITTEN[kind]
-        columns[name + ending] = [f"{value:.{decimals}f}" for value in np.asarray(values) * factor]
+        written = np.asarray(values) * factor
+        exact = kind == "number"  # of whatever size
+        columns[name + ending] = [repr(value) if exact else f"{value:.{decimals}f}" for value in written.tolist()]
     columns |= {name: list(labels) for name, labels in samples.labels.items()} | dict(after)
     text = io.StringIO()
     text.writelines(f"# {comment}\n" for comment in comments)

@@ -148,6 +148,12 @@ def finite_numbers(
     file: str, name: str, cells: Sequence[str], lines: Sequence[int], *, decimal_comma: bool = False
 ) -> list[float]:
     """Cells of a column as finite numbers; raises SamplesError that names column and lines of all others."""
+    if (
+        decimal_comma
+        and (k := next((k for k, cell in enumerate(cells) if "." in cell and is_number(cell)), None)) is not None
+    ):
+        what = f"decimal commas and decimal points are mixed: '{cells[k]}', and another column has commas"
+        raise SamplesError(file, what, "Write all numbers one way, labels too", line=int(lines[k]), column=name)
     texts = [cell.replace(",", ".") for cell in cells] if decimal_comma else cells
     result = [float(text) if NUMBER.fullmatch(text) else math.nan for text in texts]
     bad = [k for k, value in enumerate(result) if not math.isfinite(value)]
@@ -237,21 +243,21 @@ def make_table(file: str, sha256: str, rows: NumberedRows, delimiter: str, comme
 
 
 def has_decimal_commas(table: Table) -> bool:
-    """Whether numbers have decimal commas; raises SamplesError where others have points."""
-    comma = point = None
-    for row, line in zip(table.rows, table.lines, strict=True):
-        for name, cell in zip(table.header, row, strict=True):
-            if not is_number(cell):
-                continue
-            if "," in cell:
-                comma = comma or (line, name)
-            elif "." in cell:
-                point = point or (line, name)
+    """Whether numbers have decimal commas; raises SamplesError for a column that has points as well.
+
+    Columns may differ: labels such as 1.2 are no numbers. Whoever reads one as numbers is refused points there.
+    """
+    found = False
+    for k, name in enumerate(table.header):
+        comma = point = None
+        for row, line in zip(table.rows, table.lines, strict=True):
+            if is_number(row[k]):
+                comma, point = comma or (line if "," in row[k] else None), point or (line if "." in row[k] else None)
         if comma and point:
-            line, name = max(comma, point)
             what = "decimal commas and decimal points are mixed"
-            raise SamplesError(table.file, what, "Write all numbers one way", line=line, column=name)
-    return comma is not None
+            raise SamplesError(table.file, what, "Write all numbers one way", line=max(comma, point), column=name)
+        found |= comma is not None
+    return found
 
 
 TOGETHER = " with "  # between two files whose columns were joined

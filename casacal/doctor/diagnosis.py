@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -350,7 +351,7 @@ def diagnose(
     if len(robot.axes) > MOST_JOINTS:
         fix = f"The doctor searches arms of up to {MOST_JOINTS}"
         raise CasacalError(f"'{robot.name}' has {len(robot.axes)} joints", fix)
-    if not tolerance > 0:
+    if not 0 < tolerance < math.inf:
         raise CasacalError(f"The tolerance is {tolerance:g} mm", "Give a positive number of mm")
     known = _known_arm(robot, base, tool)
     meanings, more = _meanings(known, rows, tolerance)

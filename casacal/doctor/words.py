@@ -46,8 +46,11 @@ def diagnosis_text(found: Diagnosis, joints: Sequence[Joint] | None = None) -> s
     else:
         shown = [Joint()] * len(best.simplest.signs) if joints is None else joints
         lines.append(f"# goes into a DH table in TOML, or into problem.py: {conventions_line(best.simplest, shown)}")
-    if -1 in best.simplest.signs:
-        lines.append("# where a sign is -1, the joint's limits turn round as well")
+    if -1 in best.simplest.signs or any(best.simplest.offsets):
+        lines.append(
+            "# joint limits are the controller's from then on: sign * (limit - offset) of the problem's, which turn "
+            "round where the sign is -1; leave limits that are the controller's already"
+        )
     return "\n".join(lines) + "\n" + conventions_toml(best.simplest, joints)
 
 

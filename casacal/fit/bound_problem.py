@@ -323,6 +323,11 @@ class BoundProblem(LeastSquares):
             names += [f"{name} {block}".strip() if several else block for block, _ in blocks]
         return Labels(names, codes)
 
+    @property
+    def noise_groups(self) -> tuple[Index, ...]:
+        """Residuals of each noise group."""
+        return tuple(self.noise_labels.rows().values())
+
     @cached_property
     def leading(self) -> Rows:
         """Which residuals (rows,) are of the unit in which their instrument speaks; figures are of these."""

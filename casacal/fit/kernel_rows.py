@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -119,6 +120,9 @@ def constraint_set(constraints: Sequence[Constraint], slots: Sequence[Slot], sca
     return ConstraintSet(names, low, high, evaluate, np.array(ca.DM(slopes.sparsity(), 1)) > 0, scale)
 
 
+EXACT = 1e-6  # standard deviation over that of the priors below which a certified quantity leaves rounding alone
+
+
 def stated_prior(known: Sequence[Constraint | Correlation], slots: Sequence[Slot]) -> Gaussian | None:
     """Joint prior of unknowns that belong together, by correlation or by what is certified; None where none do.
 
@@ -152,6 +156,10 @@ def stated_prior(known: Sequence[Constraint | Correlation], slots: Sequence[Slot
             raise ProblemError(f"'{name}' is certified, and not linear in the unknowns", "Certify sums of numbers")
     rows = slopes[:, seen]
     spread, noise = prior.covariance @ rows.T, np.diag([each.std**2 for each in measured])
+    for certified, variance in zip(measured, np.diagonal(rows @ spread), strict=True):
+        if certified.std < EXACT * math.sqrt(variance):
+            what = f"'{certified.name}' is certified to {certified.std:g}, below a millionth of what priors leave it"
+            raise ProblemError(what, "State a larger std, or keep it exactly with equal()")
     gain = np.linalg.solve(rows @ spread + noise, spread.T).T
     left = prior.covariance - gain @ spread.T
     return Gaussian(names, gain @ (told.low - values), (left + left.T) / 2)

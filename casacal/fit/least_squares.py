@@ -22,6 +22,8 @@ from casacal.kernels.losses import Loss, worth_under
 from casacal.linalg import damped_solution, freed_of, posterior_covariance, revealed_solution, unit_scale, whitening_of
 from casacal.values import EMPTY, Array, FrozenMapping, Index, Rows, Value, frozen, short
 
+FEWEST_OF_A_GROUP = 10  # residuals beyond what they determine, from which on they speak of a noise of their own
+
 
 @dataclass(frozen=True, eq=False)
 class Gaussian(Value):
@@ -145,6 +147,11 @@ class LeastSquares(ABC):
     @abstractmethod
     def rows(self) -> int:
         """Number of scalar residuals."""
+
+    @property
+    def noise_groups(self) -> tuple[Index, ...]:
+        """Residuals of each noise group; none where nothing tells rows apart."""
+        return ()
 
     @abstractmethod
     def residual(self, x: Array) -> Array:
@@ -384,6 +391,11 @@ class Conditioned(LeastSquares):
         left = np.vstack([rows[:, self.free] - rows[:, self.out] @ own, np.zeros((len(held), self.free.size))])
         return freed_of(left, np.vstack([rows[:, self.out], held[:, self.out]]))
 
+    @property
+    def noise_groups(self) -> tuple[Index, ...]:
+        """Residuals of each noise group."""
+        return self.whole.noise_groups
+
     def row(self, k: int, states: Array) -> Array:
         """Whitened residual k at many states."""
         return self.whole.row(k, self.expand(states))
@@ -476,9 +488,23 @@ class Result(Value):
         if self.belief is not None:
             return self.belief
         data = self.problem.normal(self.x, self.loss).information if self.information is None else self.information
-        if self.loss is not None:  # what its weights, and rows that they hold down, leave
-            data = worth_under(self.loss, self.problem.residual(self.x)) * data
-        return self.problem.posterior(data, self.x)
+        return self.problem.posterior(data if self.loss is None else self._under(self.loss, data), self.x)
+
+    def _under(self, loss: Loss, weighted: Array) -> Array:
+        """Information (n, n) that rows have under a loss, from J'WJ: each noise group's worth is that of its own rows.
+
+        Gross rows of one instrument say nothing of another's.
+        """
+        r, jacobian = self.problem.residual(self.x), self.problem.jacobian(self.x)
+        weight = loss.weight(r)
+        spread = self.problem.posterior(weighted, self.x)
+        spread = np.where(np.isfinite(spread), spread, 0.0)
+        determined = weight * np.einsum("ij,jk,ik->i", jacobian, spread, jacobian, optimize=True)
+        worth = np.full(len(r), worth_under(loss, r, float(determined.sum())))
+        for rows in self.problem.noise_groups:
+            if len(rows) - (own := float(determined[rows].sum())) >= FEWEST_OF_A_GROUP:
+                worth[rows] = worth_under(loss, r[rows], own)
+        return np.asarray(jacobian.T @ (jacobian * (weight * worth)[:, None]))
 
     @property
     def active(self) -> tuple[str, ...]:

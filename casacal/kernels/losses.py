@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casacal.values import Array
+from casacal.errors import ProblemError
+from casacal.values import Array, as_given, is_finite
 
 STEP = 1e-4  # standard deviations by which a residual is moved for a slope
 
@@ -25,17 +26,27 @@ class Loss:
     after: Loss | None = None
 
 
-def worth_under(loss: Loss, r: Array) -> float:
+def worth_under(loss: Loss, r: Array, unknowns: float = 0.0) -> float:
     """Factor on J'WJ at residuals r (N,) that makes it the information of the estimate.
 
-    That of psi = rho' is J'J mean(psi')^2 / mean(psi^2), and not more than J'J (Huber, Robust Statistics, 1981, section
-    7.6): gross rows still pull, and their weights alone do not say so.
+    That of psi = rho' is J'J mean(psi')^2 / mean(psi^2), and not more than J'J: gross rows still pull, and their
+    weights alone do not say so. The rows determine some unknowns n, for which it is (1 - n/N) / K^2 of that, with
+    K = 1 + n/N var(psi') / mean(psi')^2 (Huber, Robust Statistics, 1981, section 7.6).
     """
     pull = loss.weight(r) * r
     ahead, behind = r + STEP, r - STEP
-    slope = float(np.mean(loss.weight(ahead) * ahead - loss.weight(behind) * behind)) / (2 * STEP)
+    slopes = (loss.weight(ahead) * ahead - loss.weight(behind) * behind) / (2 * STEP)
+    slope, part = max(float(np.mean(slopes)), 0.0), unknowns / len(r)
     spread, kept = float(np.mean(pull**2)), float(np.mean(loss.weight(r)))
-    return min(max(slope, 0.0) ** 2 / spread, 1.0) / kept if spread > 0 and kept > 0 else 1.0
+    if not (spread > 0 and kept > 0 and slope > 0):
+        return 1.0
+    few = (1 - part) / (1 + part * float(np.var(slopes)) / slope**2) ** 2
+    return min(few * slope**2 / spread, 1.0) / kept
+
+
+def _checked(threshold: float) -> None:
+    if not is_finite(threshold) or threshold <= 0:
+        raise ProblemError(f"Got {as_given(threshold)} as the threshold of a loss", "Give a positive number")
 
 
 def huber(threshold: float = 1.345) -> Loss:
@@ -43,6 +54,7 @@ def huber(threshold: float = 1.345) -> Loss:
 
     1.345 keeps 95 % efficiency on Gaussian noise (Huber 1964).
     """
+    _checked(threshold)
 
     def cost(r: Array) -> Array:
         size = np.abs(r)
@@ -62,6 +74,7 @@ def tukey(threshold: float = 4.685) -> Loss:
 
     4.685 keeps 95 % efficiency on Gaussian noise (Beaton and Tukey 1974).
     """
+    _checked(threshold)
 
     def inside(r: Array) -> Array:
         return np.maximum(0.0, 1 - (r / threshold) ** 2)

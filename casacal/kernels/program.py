@@ -400,7 +400,8 @@ def evaluate(program: Program, values: Sequence[int], arguments: Sequence[Array]
             known[index] = arguments[argument][element]
         else:
             with np.errstate(all="ignore"):  # what is not finite is found in the residuals, and said there
-                known[index] = NUMPY[operation.op](*(known[arg] for arg in operation.args))
+                made = NUMPY[operation.op](*(known[arg] for arg in operation.args))
+            known[index] = np.asarray(made, dtype=np.float64)  # comparisons too, as CasADi has them
     shape = np.broadcast_shapes(*(np.shape(known[value]) for value in values)) if values else ()
     found = np.empty((len(values), *shape))
     for i, value in enumerate(values):

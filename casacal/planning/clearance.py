@@ -7,7 +7,7 @@ An arm is a chain of rods between its axes, as thick as is said, or as arms of i
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,9 +19,12 @@ from casacal.model.capsules import Collision, Skeleton, Solid
 from casacal.model.instrument import Probe
 from casacal.model.problem import Problem
 from casacal.model.robot import Robot
-from casacal.simulation.cell import PLATE, Cell, Disturbances
+from casacal.simulation.cell import PLATE, Cell, Disturbances, Face
 from casacal.simulation.touches import TouchingArm, true_unknowns
 from casacal.values import Array, Box, Rows, Value, is_real
+
+PARALLEL = math.cos(math.radians(5.0))
+SMALL = 0.5  # side of a block over that of the face it stands on; a larger face above is the same plate, raised
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,13 +51,26 @@ class Clearance(Value):
         """What there is around an arm, with the table and the faces of a cell."""
         boxes = tuple(dict.fromkeys((*self.boxes, *(() if cell is None else cell.keep_out))))
         solids = [Solid.box(f"box {number}", box) for number, box in enumerate(boxes, 1)]
-        for face in cell.faces if isinstance(cell, Cell) else ():  # as thick as a plate that lies on a table
-            low, high = (np.array([end, *(side * np.asarray(face.size) / 2)]) for end, side in ((-PLATE, -1), (0.0, 1)))
+        faces = cell.faces if isinstance(cell, Cell) else ()
+        for face in faces:
+            ends = ((-_thickness(face, faces), -1), (0.0, 1))
+            low, high = (np.array([end, *(side * np.asarray(face.size) / 2)]) for end, side in ends)
             solids.append(Solid(f"face '{face.label}'", low, high, np.asarray(face.centre), face.axes, touched=True))
         skeleton = Skeleton.of(robot)
         radius = skeleton.radius if self.link_radius is None else self.link_radius
         known = skeleton.place is not None
         return Around(skeleton, radius if known else 0.0, -math.inf if cell is None else cell.table, tuple(solids))
+
+
+def _thickness(face: Face, faces: Sequence[Face]) -> float:
+    """How far a face is solid behind, mm: a block down to the larger face it stands on, else as a plate on a table."""
+    found = PLATE
+    for other in faces:
+        height, *aside = (np.asarray(face.centre) - other.centre) @ other.axes.T
+        over = (np.abs(aside) <= np.asarray(other.size) / 2).all() and face.axes[0] @ other.axes[0] > PARALLEL
+        if over and height > found and max(face.size) <= SMALL * min(other.size):
+            found = float(height)
+    return found
 
 
 @dataclass(frozen=True, eq=False)

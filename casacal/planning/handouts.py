@@ -7,9 +7,10 @@ has ten touches a page, each with a picture of the posture in its cell and what 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -85,16 +86,27 @@ def approaches(
     chosen, clear = np.zeros(int(back.sum()), dtype=int), np.ones(int(back.sum()), dtype=bool)
     if isinstance(still, Cell):
         is_clear = partial(_is_clear, arm, still, (clearance or Clearance()).around(problem.robot, still))
+        touched, faces = np.flatnonzero(back), None if probe.label is None else samples.labels[probe.label]
+
+        @cache
+        def down(k: int, level: int) -> bool:
+            """Whether the way down to touch k, and back, is clear from a level."""
+            row, face = touched[k], "" if faces is None else faces[touched[k]]
+            start, end = levels[level][k], samples.joints[row]
+            return bool(np.isfinite(start).all()) and is_clear(start, end, reading=readings[row], touched=face)
+
+        clear[0] = down(0, 0)
         for k in range(1, len(clear)):
-            clear[k] = _raised(is_clear, levels, chosen, k)
+            clear[k] = _raised(is_clear, down, levels, chosen, k)
     above = np.array([levels[level][k] for k, level in enumerate(chosen)])
     if isinstance(still, Cell):  # an end may have been raised since its way was looked at
-        for k in np.flatnonzero(clear[1:]).tolist():
-            clear[k + 1] = is_clear(above[k], above[k + 1])
+        legs = [down(k, level) for k, level in enumerate(chosen.tolist())]
+        for k in np.flatnonzero(clear).tolist():
+            clear[k] = legs[k] and (k == 0 or is_clear(above[k - 1], above[k]))
     via = np.full_like(above, np.nan)
     if isinstance(still, Cell):
         places = levels[-1][np.isfinite(levels[-1]).all(axis=1)]
-        for k in np.flatnonzero(~clear).tolist():
+        for k in (k for k in np.flatnonzero(~clear).tolist() if k and legs[k]):
             start, end = above[k - 1], above[k]
             lengths = np.abs(places - start).max(axis=1) + np.abs(places - end).max(axis=1)
             for place in places[np.argsort(lengths)[:MOST_PLACES]]:  # the shortest way first
@@ -108,31 +120,45 @@ def approaches(
     return Approaches(of_all[0], retreats, of_all[1], free)
 
 
-def _raised(clear: Clear, levels: list[Array], chosen: Index, k: int) -> bool:
-    """Raise both ends of the way to touch k until it is clear; whether it is."""
+def _raised(clear: Clear, down: Callable[[int, int], bool], levels: list[Array], chosen: Index, k: int) -> bool:
+    """Raise both ends of the way to touch k until it is clear, and their ways down are; whether they are."""
     for level in range(len(levels)):
         ends = [max(int(chosen[k - 1]), level), max(int(chosen[k]), level)]
         start, end = levels[ends[0]][k - 1], levels[ends[1]][k]
         if not (np.isfinite(start).all() and np.isfinite(end).all()):
             return False
-        if clear(start, end):
+        if down(k - 1, ends[0]) and down(k, ends[1]) and clear(start, end):
             chosen[k - 1], chosen[k] = ends
             return True
     return False
 
 
-def _is_clear(arm: TouchingArm, cell: Cell, around: Around, start: Array, end: Array) -> bool:
-    """Whether the straight way of the joints between two postures keeps off faces, table and all else that is said."""
-    part = np.linspace(0, 1, ON_THE_WAY)[:, None]
-    joints = start * (1 - part) + end * part
-    tips, _ = arm.place(arm.local, joints, np.zeros((len(joints), 1)))
+def _is_clear(
+    arm: TouchingArm, cell: Cell, around: Around, start: Array, end: Array, *, reading: float = 0.0, touched: str = ""
+) -> bool:
+    """Whether the straight way of the joints between two postures keeps off faces, table and all else that is said.
+
+    reading: of the dial on the way, mm. touched: label of the face where it ends, which the tip alone comes near.
+    """
+    path = _way(arm, start, end, ON_THE_WAY, reading)[1]
+    length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+    joints, tips = _way(arm, start, end, max(ON_THE_WAY, math.ceil(length / FREE)), reading)
     for face in cell.faces:
+        if face.label == touched or (touched and len(cell.faces) == 1):
+            continue
         local = (tips - face.centre) @ face.axes.T
         over = (np.abs(local[:, 1:]) <= np.asarray(face.size) / 2 + FREE).all(axis=1)
         height = local[over, 0]
         if (height < FREE).any() and not (height < -FREE).all():  # wholly behind it, it is another side's matter
             return False
     return bool(around.clear(joints, tips).all())
+
+
+def _way(arm: TouchingArm, start: Array, end: Array, count: int, reading: float) -> tuple[Array, Array]:
+    """Joint values (count, n) on the straight way of the joints between two postures, and tips (count, 3)."""
+    part = np.linspace(0, 1, count)[:, None]
+    joints = start * (1 - part) + end * part
+    return joints, arm.place(arm.local, joints, np.full((count, 1), reading))[0]
 
 
 def _above(arm: TouchingArm, joints: Array, readings: Array, tips: Array, axes: Array, retreat: float) -> Array:

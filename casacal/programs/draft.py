@@ -47,7 +47,8 @@ class Ways:
     """Words of a language by which a program takes other ways than from line to line.
 
     opens, closes: ends of blocks, routines among them. turns: branches within a block. routine: the head of a routine,
-    with its name. apart: what lets a routine run at any time.
+    with its name. apart: what lets a routine run at any time. jumps, label: a jump and where it leads, each with its
+    name, if any.
     """
 
     opens: re.Pattern[str]
@@ -55,6 +56,8 @@ class Ways:
     turns: re.Pattern[str]
     routine: re.Pattern[str]
     apart: re.Pattern[str]
+    jumps: re.Pattern[str] = re.compile(r"(?!)()")
+    label: re.Pattern[str] = re.compile(r"(?!)()")
 
 
 EXTERNAL = "an external axis moves with it, and where that puts arm or work is not known"
@@ -72,6 +75,7 @@ class Draft:
         self.frames = dict[str, Array | CasacalError]()  # likewise
         self.seen = [bytearray(len(text)) for text in self.raw]  # letters that were understood
         self.framed = set[str]()  # names that stand for a tool or a base
+        self.changed = set[str]()  # names that the program gives another value on its way
         self.targets = dict[Number, Target]()
         self.moves: list[tuple[int, int, Motion, Number]] = []
         self.posed: list[Span] = []  # file and letter of moves to poses
@@ -139,8 +143,13 @@ class Draft:
         numbers = tuple(self.number(file, span, unit, least) for span in spans)
         return Target(name, file, self.line(file, spans[0][0]), "joints", numbers)
 
-    def define(self, name: str, make: Callable[[], Target | Array]) -> None:
-        """Give a name the value that `make` makes, or the reason why it makes none; a second value is none."""
+    def define(self, name: str, make: Callable[[], Target | Array], *, part: bool = False) -> None:
+        """Give a name the value that `make` makes, or the reason why it makes none; a second value is none.
+
+        part: whether a part of its value is set alone, which then is another.
+        """
+        if part or name.lower() in self.names or name.lower() in self.frames:
+            self.changed.add(name.lower())
         if (key := name.lower()) in self.names or key in self.frames:
             self.names[key] = self.frames[key] = CasacalError(f"'{name}' is set more than once", NUMBERS)
             return
@@ -167,6 +176,9 @@ class Draft:
         self.framed.add(name.lower())
         given = self.given.tools if kind == "tool" else self.given.bases
         found = given.get(name.lower(), self.frames.get(name.lower()))
+        if name.lower() in self.changed:  # what an option states holds before or after, not all along
+            what = f"the program itself sets the {kind} '{name}', more than once or in parts"
+            raise CasacalError(what, "Set it once, with plain numbers, or correct its moves by hand")
         if found is None and isinstance(target := self.names.get(name.lower()), Target) and target.kind == "pose":
             found = self.form.pose(target.values)
         if found is None:
@@ -284,7 +296,10 @@ def _blocks(text: str, ways: Ways) -> list[Span]:
             open_.append(at)
         elif open_:
             found.append((open_.pop(), at))
-    return found + [(at, len(text)) for at in open_]
+    labels = {mark[1].lower(): mark.start() for mark in ways.label.finditer(text)}
+    jumps = ((labels.get(mark[1].lower(), len(text)), mark.start()) for mark in ways.jumps.finditer(text))
+    back = [(at, jump) for at, jump in jumps if at < jump]  # a loop like any other
+    return found + back + [(at, len(text)) for at in open_]
 
 
 def _setting(text: str, routines: Mapping[str, Span], places: Sequence[int]) -> set[str]:

@@ -28,10 +28,12 @@ ASSIGNED = re.compile(
     r"=(?!=)[ \t]*([^\r\n]*)"
 )
 MOVES = re.compile(r"(?im)^[ \t]*S?(PTP|LIN|CIRC|(?<=S)PL)[ \t]+([^\r\n]*)")
+SPLINES = re.compile(r"(?im)^[ \t]*(END|PTP_|)SPLINE(?!\w)([^\r\n]*)")
 OTHERS = re.compile(
-    r"(?im)^[ \t]*((?:S?PTP|S?LIN|S?CIRC)_\w+|ASYPTP|SEARCH\w*|\$IPO_MODE[ \t]*=[ \t]*#TCP|"
+    r"(?im)(?:^[ \t]*|\bWITH\b[^\r\n]*?)((?:S?PTP|S?LIN|S?CIRC)_\w+|ASYPTP|SEARCH\w*|\$IPO_MODE[ \t]*=[ \t]*#TCP|"
     r"\$ACT_(?:TOOL|BASE)(?=[ \t]*=)|ANIN[ \t]+ON)(?!\w)"
 )
+OWN = re.compile(r"(?i)\bWITH\b.*\$(TOOL|BASE)\s*=")  # frames of a move or a block alone: $TOOL = STOOL2(FP1), ...
 SETS = re.compile(r"(?i)BAS[ \t]*\([ \t]*#(TOOL|BASE|EX_BASE)[ \t]*,[ \t]*([^)\r\n]*)\)")
 MOTIONS: Mapping[str, tuple[Motion, ...]] = {
     "PTP": ("joint",), "LIN": ("linear",), "CIRC": ("via", "end"), "PL": ("spline",)
@@ -45,6 +47,8 @@ WAYS = Ways(
     turns=re.compile(r"(?im)^[ \t]*(?:ELSE|CASE|DEFAULT|GOTO)(?!\w)"),
     routine=re.compile(r"(?im)^[ \t]*(?:GLOBAL[ \t]+)?DEF(?:FCT[ \t]+\w+)?[ \t]+(\w+)"),
     apart=re.compile(r"(?i)(?<!\w)(?:INTERRUPT[ \t]+DECL|GLOBAL[ \t]+INTERRUPT|TRIGGER)(?!\w)"),
+    jumps=re.compile(r"(?im)(?<![\w])GOTO[ \t]+(\w+)"),
+    label=re.compile(r"(?im)^[ \t]*(\w+)[ \t]*:(?!=)"),
 )
 
 
@@ -63,7 +67,8 @@ def read(files: Mapping[str, str], given: Given) -> TaughtProgram:
             if not found[1].startswith("$"):
                 draft.see(file, found.span())
                 if found[3]:
-                    draft.define(found[1], lambda file=file, found=found: _assigned(draft, file, found, data))  # type: ignore[misc]
+                    make = partial(_assigned, draft, file, found, data)
+                    draft.define(found[1], make, part=bool(found[2]))
     for file in range(len(files)):
         _moves(draft, file, data)
         draft.refuse(file, OTHERS)
@@ -123,13 +128,20 @@ def _moves(draft: Draft, file: int, data: Mapping[str, dict[str, str]]) -> None:
     text = draft.texts[file]
     for kind in KINDS:
         draft.set_in_force(kind, partial(draft.frame, kind, f"${kind}"), (file, -1))
-    marks = [*MOVES.finditer(text), *SETS.finditer(text), *ASSIGNED.finditer(text)]
+    marks = [*MOVES.finditer(text), *SETS.finditer(text), *ASSIGNED.finditer(text), *SPLINES.finditer(text)]
+    before: dict[str, Array | CasacalError] | None = None  # a spline's own frames
     for mark in sorted(marks, key=lambda mark: mark.start()):
         word = mark[1].upper()
-        if mark.re is MOVES:
+        if mark.re is SPLINES:
+            if before is not None:
+                draft.frames, before = before, None
+            if word != "END" and OWN.search(mark[2]):
+                before = dict(draft.frames)
+                _set_by(draft, _of_spline(mark[2]), data)
+        elif mark.re is MOVES:
             draft.see(file, mark.span())
             with draft.understanding(file, mark.start()):
-                _move(draft, file, mark, data)
+                _move(draft, file, mark, data, own=before is not None)
         elif mark.re is SETS:
             for kind in KINDS:
                 if word.endswith(kind.upper()):
@@ -174,7 +186,14 @@ def _set_by(draft: Draft, name: str, data: Mapping[str, dict[str, str]], at: Spa
         draft.set_in_force(kind, partial(numbered, kind), at)
 
 
-def _move(draft: Draft, file: int, mark: re.Match[str], data: Mapping[str, dict[str, str]]) -> None:
+def _of_spline(words: str) -> str:
+    """Name of the FDAT by which a WITH sets its frames."""
+    found = re.search(r"(?i)\$TOOL\s*=\s*STOOL2?\s*\(\s*(\w+)", words)
+    return found[1] if found else "its WITH"
+
+
+def _move(draft: Draft, file: int, mark: re.Match[str], data: Mapping[str, dict[str, str]], *, own: bool) -> None:
+    """Note a move; own: whether its block says itself which frames are its own."""
     motions, at, kept = MOTIONS[mark[1].upper()], mark.start(2), dict(draft.frames)
     targets = list[Target]()
     for i in range(len(motions)):
@@ -185,15 +204,15 @@ def _move(draft: Draft, file: int, mark: re.Match[str], data: Mapping[str, dict[
         targets.append(target)
     if draft.texts[file][at : mark.end(2)].lstrip().startswith(":"):
         raise CasacalError("the target is computed at run time", NUMBERS)
-    if own := re.search(r"(?i)\bWITH\b.*\$(TOOL|BASE)\s*=", mark[2]):  # of this move alone: $TOOL = STOOL2(FP1), ...
-        spline = re.search(r"(?i)\$TOOL\s*=\s*STOOL2?\s*\(\s*(\w+)", mark[2])
-        _set_by(draft, spline[1] if spline else "its WITH", data)
+    if OWN.search(mark[2]):
+        own = True
+        _set_by(draft, _of_spline(mark[2]), data)
     try:
         for target, motion in zip(targets, motions, strict=True):
             look = draft.frame if target.kind == "pose" else lambda _, name: draft.known(name)
             base, tool = (look(kind, IN_FORCE[kind]) for kind in ("base", "tool"))
             draft.move((file, mark.start()), motion, target, base, tool)
-        if own:  # it says itself which frames are its own
+        if own:
             draft.posed = [each for each in draft.posed if each != (file, mark.start())]
     finally:
         draft.frames = kept

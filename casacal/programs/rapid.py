@@ -54,6 +54,7 @@ def read(files: Mapping[str, str], given: Given) -> TaughtProgram:
             for known in (draft.names, draft.frames):
                 if found[1].lower() in known:
                     known[found[1].lower()] = CasacalError(f"'{found[1]}' is set again at run time", NUMBERS)
+                    draft.changed.add(found[1].lower())
     _refuse_changed_frames(draft, text)
     for found in LEFT_OPEN.finditer(text):
         with draft.understanding(0, found.start(1)):

@@ -23,10 +23,12 @@ ASIDE = r'"[^"\r\n]*"|#[^\r\n]*'
 ASSIGNED = re.compile(r"(?m)(?<![\w.\[,(])(\w+)\s*(\[[^\]\r\n]*\])?\s*[-+*/]?=(?!=)[ \t]*([^\r\n]*)")
 CALLS = re.compile(r"(?<![\w.])(\w+)\s*\(")
 MOTIONS: Mapping[str, tuple[Motion, ...]] = {
-    "movej": ("joint",), "movel": ("linear",), "movep": ("linear",), "movec": ("via", "end")
+    "movej": ("joint",), "movel": ("linear",), "movep": ("linear",), "movec": ("via", "end"),
+    "optimovej": ("joint",), "optimovel": ("linear",),
 }  # fmt: skip
 OTHERS = re.compile(
-    r"(?<![\w.])(servo[jcl]|speed[jl]\w*|force_mode|conveyor_\w+|path_offset_\w+|move[jlpc]_\w+|teach_mode)\s*\("
+    r"(?<![\w.])(servo[jcl]|speed[jl]\w*|force_mode|conveyor_\w+|path_offset_\w+|move[jlpc]_\w+|teach_mode|"
+    r"(?!(?:move[jlpc]|optimove[jl])\b)\w*move\w*(?=\s*\(\s*p?\[))\s*\("
 )
 QUIET = re.compile(
     r"set_tcp|get_inverse_kin\w*|pose_\w+|point_dist|interpolate_pose|textmsg|popup|str_cat|to_str|is_within_\w+"
@@ -143,21 +145,37 @@ def _move(draft: Draft, call: re.Match[str], end: int) -> None:
     parts, motions = arguments(draft.texts[0], call.end(), end), MOTIONS[call[1]]
     if len(parts) < len(motions):
         raise CasacalError(f"{call[1]} has too few targets", "Write it with its targets")
-    for (target, base), motion in zip([_target(draft, span) for span in parts[: len(motions)]], motions, strict=True):
-        tool = draft.frame("tool", IN_FORCE["tool"]) if target.kind == "pose" else draft.known(IN_FORCE["tool"])
+    ends = zip([_target(draft, span) for span in parts[: len(motions)]], motions, strict=True)
+    for (target, base, own), motion in ends:
+        tool = own
+        if tool is None:
+            tool = draft.frame("tool", IN_FORCE["tool"]) if target.kind == "pose" else draft.known(IN_FORCE["tool"])
         draft.move((0, call.start()), motion, target, base, tool)
 
 
-def _target(draft: Draft, span: Span) -> tuple[Target, Array]:
-    """A target and its base: of get_inverse_kin(pose, qnear) the pose, of pose_trans(frame, pose) a pose in a frame."""
-    near, base = None, np.eye(4)
+HINTS = ("qnear", "maxPositionError", "maxOrientationError", "tcp")  # of get_inverse_kin, after the pose
+
+
+def _target(draft: Draft, span: Span) -> tuple[Target, Array, Array | None]:
+    """A target, its base, and a tool of its own if any.
+
+    Of get_inverse_kin(pose, qnear, ..., tcp) it is the pose, of pose_trans(frame, pose) a pose in a frame.
+    """
+    near, base, tool = None, np.eye(4), None
     if inner := _inner(draft, span, "get_inverse_kin"):
         span, *hints = inner
-        if hints:
-            named = re.match(r"qnear\s*=\s*", draft.texts[0][slice(*hints[0])])
-            near = tuple(_at(draft, (hints[0][0] + (named.end() if named else 0), hints[0][1])).joints.tolist())
+        for k, (start, end) in enumerate(hints):
+            named = re.match(r"(\w+)\s*=\s*", draft.texts[0][start:end])
+            name = named[1] if named else HINTS[k] if k < len(HINTS) else ""
+            value = (start + (named.end() if named else 0), end)
+            if name not in HINTS:
+                raise CasacalError(f"what get_inverse_kin is told by '{name}' is not understood", NUMBERS)
+            if name == "qnear":
+                near = tuple(_at(draft, value).joints.tolist())
+            elif name == "tcp" and draft.raw[0][slice(*value)].strip("\"'") != "active_tcp":
+                tool = _tool(draft, value)
     if len(inner := _inner(draft, span, "pose_trans")) == 2:
         words = draft.texts[0][slice(*inner[0])]
         base = draft.frame("base", words) if words.isidentifier() else FORM.pose(_pose(draft, inner[0]).values)
-        return replace(_pose(draft, inner[1]), near=near), base
-    return replace(_at(draft, span), near=near), base
+        return replace(_pose(draft, inner[1]), near=near), base, tool
+    return replace(_at(draft, span), near=near), base, tool

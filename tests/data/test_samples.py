@@ -144,6 +144,54 @@ def test_written_samples_read_back(tmp_path, hsr, corner_simulation):
     np.testing.assert_allclose(again.columns["reading"], odd.columns["reading"], atol=6e-5)
 
 
+def test_written_numbers_keep_their_size_and_what_terms_ask_for(tmp_path):
+    layout = Layout(("angle",), {"field": "number"}, (), further=("payload_kg",))
+    given = Samples.from_arrays(
+        {"q1_rad": [0.1, 0.2], "field": [1.23456789e-10, 3.3e7], "payload_kg": [1.5, 2.0]}, layout
+    )
+    write_samples(tmp_path / "s.csv", layout, given, ())
+    again = Samples.from_file(tmp_path / "s.csv", layout)
+    assert again.columns["field"].tolist() == [1.23456789e-10, 3.3e7]
+    assert again.extra["payload_kg"].tolist() == [1.5, 2.0]
+
+
+def test_masked_values_and_missing_dates_are_no_values():
+    layout = Layout(("angle",), {"reading": "length"}, ("plane",))
+    arrays = {
+        "q1_rad": np.array([0.1, 0.2]),
+        "reading_mm": np.ma.array([1.0, -999.0], mask=[0, 1]),
+        "plane": ["a", "b"],
+    }
+    with pytest.raises(SamplesError, match="line 2, column 'reading_mm': the value is masked"):
+        Samples.from_arrays(arrays, layout)
+    arrays |= {"reading_mm": np.array([1.0, 2.0]), "plane": np.array(["2020-01-01", "NaT"], "M8[D]")}
+    with pytest.raises(SamplesError, match="line 2, column 'plane': the label is empty"):
+        Samples.from_arrays(arrays, layout)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("q1_rad;reading_mm;plane\n0,1;1,5;1.2\n0,2;1,5;1.3\n", None),
+        (
+            "q1_rad;reading_mm;plane\n0.1;1,5;a\n0.2;1,5;b\n",
+            "points are mixed: '0.1', and another column has commas",
+        ),
+        ("q1_rad;reading_mm;plane\n0,1;1,5;a\n0,2;1.5;b\n", "decimal commas and decimal points are mixed"),
+    ],
+)
+def test_labels_with_points_are_no_numbers_beside_decimal_commas(text, said, tmp_path):
+    layout = Layout(("angle",), {"reading": "length"}, ("plane",))
+    (tmp_path / "s.csv").write_text(text)
+    if said is not None:
+        with pytest.raises(SamplesError, match=said):
+            Samples.from_file(tmp_path / "s.csv", layout)
+        return
+    read = Samples.from_file(tmp_path / "s.csv", layout)
+    assert read.joints.ravel().tolist() == [0.1, 0.2]
+    assert list(read.labels["plane"]) == ["1.2", "1.3"]
+
+
 def test_without_labels_all_rows_share_one(tmp_path):
     assert read(tmp_path, "q1_deg,q2_mm,reading_mm\n1,2,3\n").labels["plane"] == ("plane",)
 

@@ -404,7 +404,7 @@ def test_the_command_prints_a_block_that_composes(tmp_path, capsys):
     assert largest_gap(table, truth, read, rng) < 1e-6
     line = next(each for each in said.splitlines() if "into problem.py: " in each)
     assert eval(line.partition("conventions=")[2], {"Conventions": Conventions, "deg": deg}) == read
-    assert "the joint's limits turn round as well" in said
+    assert "sign * (limit - offset) of the problem's, which turn round where the sign is -1" in said
     (tmp_path / "c.toml").write_text(PUMA_TOML)
     bare = dh_file_text(replace(read_dh_file(tmp_path / "c.toml"), conventions=None), "c.toml")
     (tmp_path / "c.toml").write_text(bare + "\n" + said[said.index("# the pendant") :])
@@ -429,6 +429,7 @@ def test_the_command_prints_a_block_that_composes(tmp_path, capsys):
         ("q1,q2,q3,q4,q5,q6,x,y,z,a,b,c", "1,2,3,4,5,6,1,2,3,4,5,x", [], "'x' is not a finite number"),
         ("q1,q2,q3,q4,q5,q6,x,y,z,a,b,c", "1,2,3,4,5,6,1,2,3,4,5,6", ["--tool", "1,2"], "--tool 1,2 is not a pose"),
         ("q1,q2,q3,q4,q5,q6,x,y,z,a,b,c", "1,2,3,4,5,6,1,2,3,4,5,6", ["--tolerance", "0"], "The tolerance is 0 mm"),
+        ("q1,q2,q3,q4,q5,q6,x,y,z,a,b,c", "1,2,3,4,5,6,1,2,3,4,5,6", ["--tolerance", "inf"], "The tolerance is inf mm"),
     ],
 )  # fmt: skip
 def test_bad_rows_are_refused_in_one_line(tmp_path, capsys, header, cells, options, says):

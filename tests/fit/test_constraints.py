@@ -19,7 +19,7 @@ from casacal.fit.least_squares import Conditioned, Status
 from casacal.fit.methods import method_of
 from casacal.kernels.losses import huber
 from casacal.linalg import constrained_solution, nearest, null_basis
-from casacal.model import between, equal
+from casacal.model import between, certified, equal
 from casacal.model.kinematics import translate_z
 from casacal.uncertainty.figures import effective_unknowns, leverages
 from casacal.uncertainty.identifiability import identifiability
@@ -268,6 +268,13 @@ def test_numerical_steps_against_hand_made_ones():
 def test_what_is_no_constraint_is_refused_where_the_problem_is_made(ur5, make, said):
     with pytest.raises(CasacalError, match=said):
         Problem(ur5[0].robot, *ur5[0].instruments, constraints=[make()])
+
+
+def test_what_is_certified_beyond_rounding_is_refused(ur5):
+    problem, samples = ur5
+    made = Problem(problem.robot, *problem.instruments, constraints=[certified("links", links, -32.35, std=1e-9)])
+    with pytest.raises(ProblemError, match=r"'links' is certified to 1e-09, below a millionth .* equal\(\)"):
+        bind(made, samples)
 
 
 def test_names_are_told_apart_and_a_list_is_asked_for(ur5):

@@ -1,11 +1,13 @@
 """A robust loss in every method that minimises: one cost, the same number in each, against sums written out here."""
 
 import dataclasses
+import math
 from functools import partial
 
 import numpy as np
 import pytest
 from conftest import ROOT
+from linear import Matrix
 from oracles import central_difference
 
 from casacal import (
@@ -23,6 +25,7 @@ from casacal import (
     tukey,
 )
 from casacal.cli.main import main
+from casacal.errors import ProblemError
 from casacal.fit.filters import sckf_lm
 from casacal.fit.ipopt import Objective, nlpsol
 from casacal.fit.population import Search
@@ -233,3 +236,63 @@ def test_the_worth_of_rows_under_huber_is_that_of_its_definition():
 def test_a_start_that_is_given_is_where_a_loss_begins(corner_bound):
     far = corner_bound.x0 + 0.1 * corner_bound.start_std
     assert lm(corner_bound, start=far, loss=tukey(), max_steps=0).x == pytest.approx(far)
+
+
+class Line(Matrix):
+    """Rows of a linear model, some of which belong together."""
+
+    groups = ()
+
+    def __init__(self, slopes, off):
+        flat = np.full(slopes.shape[1], np.inf)
+        super().__init__(slopes, off, np.zeros(flat.size), flat, np.ones(flat.size))
+
+    @property
+    def noise_groups(self):
+        return self.groups
+
+
+def of_two_instruments(rng, clean, gross):
+    """One unknown seen by clean rows alone, one by rows of which two in five are gross."""
+    slopes = np.zeros((clean + gross, 2))
+    slopes[:clean, 0], slopes[clean:, 1] = 1.0, 1.0
+    off = rng.normal(size=clean + gross)
+    wrong = np.arange(clean, clean + gross)[rng.random(gross) < 0.4]
+    off[wrong] += rng.choice([-1, 1], wrong.size) * rng.uniform(5, 30, wrong.size)
+    return slopes, off
+
+
+def test_gross_rows_of_one_instrument_say_nothing_of_anothers():
+    """400 trials: how far estimates scatter, against what each claims."""
+    rng, x, claimed = np.random.default_rng(1), [], []
+    for _ in range(400):
+        problem = Line(*of_two_instruments(rng, 200, 40))
+        problem.groups = (np.arange(200), np.arange(200, 240))
+        found = lm(problem, loss=huber())
+        x.append(found.x)
+        claimed.append(found.std)
+    covered = (np.abs(x) < 1.96 * np.array(claimed)).mean(axis=0)
+    assert covered == pytest.approx([0.95, 0.95], abs=0.035)
+    assert np.std(x, axis=0) == pytest.approx(np.sqrt(np.mean(np.square(claimed), axis=0)), rel=0.12)
+
+
+@pytest.mark.parametrize(("rows", "unknowns", "wrong"), [(165, 33, 0.15), (60, 9, 0.1)])
+def test_unknowns_that_few_rows_determine_cost_them_worth(rows, unknowns, wrong):
+    rng, x, claimed = np.random.default_rng(2), [], []
+    slopes = rng.normal(size=(rows, unknowns))
+    for _ in range(200):
+        off = rng.normal(size=rows)
+        gross = rng.random(rows) < wrong
+        off[gross] += rng.choice([-1, 1], gross.sum()) * rng.uniform(10, 33, gross.sum())
+        found = lm(Line(slopes, off), loss=huber())
+        x.append(found.x)
+        claimed.append(found.std)
+    ratio = np.std(x, axis=0) / np.sqrt(np.mean(np.square(claimed), axis=0))
+    assert ratio.mean() == pytest.approx(1.0, abs=0.08)
+
+
+@pytest.mark.parametrize("loss", [huber, tukey])
+@pytest.mark.parametrize("threshold", [0, -1.0, math.nan, math.inf, "3", True])
+def test_a_threshold_that_is_none_is_refused(loss, threshold):
+    with pytest.raises(ProblemError, match=r"as the threshold of a loss\. Give a positive number"):
+        loss(threshold)

@@ -242,6 +242,33 @@ def test_constants_may_be_infinite(backend):
     assert found[2, 1] == 3.0 or np.isnan(found[2, 1])  # CasADi's if_else is 0 * inf where the condition fails
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_comparisons_of_data_are_numbers(backend):
+    """They are evaluated ahead for all rows: two that hold make two, and sines of them have sixteen digits."""
+    p, q = ca.SX.sym("p"), ca.SX.sym("q")
+    low, high = q > 0, q > 0.5
+    parts = (
+        low + high,
+        low - high,
+        ca.sin(low),
+        ca.exp(ca.logic_not(low)),
+        ca.logic_and(low, high) + ca.logic_or(low, high),
+    )
+    e = ca.vertcat(*parts) + p
+    rows = row_kernels(ca.Function("f", [p, q], [e, ca.densify(ca.SX(5, 1))]), backend)
+    lanes = np.array([[-1.0], [0.3], [2.0]])
+    found = rows.residual(np.array([0.0]), rows.lanes(lanes, np.ones((3, 5))))
+    first, second = (lanes.ravel() > 0) * 1.0, (lanes.ravel() > 0.5) * 1.0
+    meant = [
+        first + second,
+        first - second,
+        np.sin(first),
+        np.exp(1 - first),
+        first * second + np.maximum(first, second),
+    ]
+    np.testing.assert_allclose(found, meant, rtol=0, atol=1e-15)
+
+
 def test_a_residual_that_does_not_touch_the_data_still_has_rows():
     robot = Robot("stub", joints=1, pose=lambda p, q: ca.SX.eye(4), parameters={"a": Parameter((1.0,), unit="mm")})
 

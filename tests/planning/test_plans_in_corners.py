@@ -46,6 +46,57 @@ def test_every_way_that_is_called_clear_is_clear():
     assert all(clear(way.above[before], way.above[after]) for before, after in straight)
 
 
+def tool_of_ur5(joints):
+    """Places (N, 121, 3; mm) along the tool, 120 mm from flange to tip, by the maker's DH table, row after row."""
+    pose = np.broadcast_to(np.eye(4), (len(joints), 4, 4))
+    table = ((90, 0, 89.159), (0, -425, 0), (0, -392.25, 0), (90, 0, 109.15), (-90, 0, 94.65), (0, 0, 82.3))
+    for (alpha, a, d), turn in zip(table, joints.T, strict=True):
+        c, s, ca, sa = np.cos(turn), np.sin(turn), np.cos(np.radians(alpha)), np.sin(np.radians(alpha))
+        zero, one = np.zeros_like(c), np.ones_like(c)
+        rows = ((c, -s * ca, s * sa, a * c), (s, c * ca, -c * sa, a * s), (zero, sa * one, ca * one, d * one))
+        pose = pose @ np.moveaxis(np.array([*rows, (zero, zero, zero, one)]), 2, 0)
+    return pose[:, None, :3, 3] + np.linspace(0, 120, 121)[None, :, None] * pose[:, None, :3, 2]
+
+
+def inside(points, face, thick):
+    """How deep (mm) places lie in a box behind a face, so thick; negative outside."""
+    local = (points - np.array(face.centre)) @ face.axes.T
+    sides = np.array(face.size) / 2 - np.abs(local[..., 1:])
+    return np.concatenate([sides, -local[..., :1], local[..., :1] + thick], axis=-1).min(axis=-1)
+
+
+def test_no_touch_stands_in_a_block_that_is_solid_down_to_its_plate():
+    source = load_problem(UR5)
+    pool = pool_of(source.problem, source.cell, 3000, 0)
+    on_floor = np.array([label == "floor" for label in pool.labels["plane"]])
+    block = source.cell.face("block")
+    assert on_floor.sum() > 500
+    assert inside(tool_of_ur5(pool.joints[on_floor]), block, 100.0).max() < 0.5
+
+
+@pytest.mark.parametrize(("touches", "pool", "seed"), [(30, 400, 7), pytest.param(40, 400, 3, marks=pytest.mark.long)])
+def test_no_way_that_is_called_clear_leads_through_block_or_plates(touches, pool, seed):
+    """From above one touch to above the next, down to it and back: the tool keeps out of plates 20 mm thick."""
+    source = load_problem(UR5)
+    made = plan(source.problem, source.cell, touches=touches, pool=pool, starts=1, seed=seed)
+    way, labels = approaches(source.problem, made, source.cell), made.samples.labels["plane"]
+    steps, looked = np.linspace(0, 1, 1000)[:, None], 0
+    for k, (touch, label) in enumerate(zip(made.samples.joints, labels, strict=True)):
+        if not way.clear[k]:
+            continue
+        ends = [way.above[k], touch]
+        if k and np.isfinite(way.above[k - 1]).all():
+            ends = [way.above[k - 1], *([way.via[k]] if np.isfinite(way.via[k]).all() else []), *ends]
+        for start, end in pairwise(ends):
+            tool = tool_of_ur5(start + (end - start) * steps)
+            for face in source.cell.faces:
+                if face.label != label or end is not touch:  # where the plunger is pushed in
+                    looked += 1
+                    deep = inside(tool, face, 100.0 if face.label == "block" else 20.0).max()
+                    assert deep < 0.5, f"the way to touch {k + 1} leads {deep:.1f} mm into {face.label}"
+    assert looked > 100
+
+
 @pytest.fixture(scope="module")
 def two_faces(hsr):
     """A plan that leaves a face out, the arm that answers, and a session after all of it."""

@@ -315,10 +315,15 @@ NOT_UNDERSTOOD = [
     (".src", "PTP {A1 10}", 5, "leaves A2 as it is"),
     (".src", "LIN $POS_ACT", 5, "computed at run time"),
     (".src", "LIN P[3]", 5, "computed at run time"),
+    (".src", "SPLINE WITH $TOOL=TOOL_DATA[2]\n SPL {X 900,Y 0,Z 900,A 0,B 90,C 0}\nENDSPLINE", 6, "its WITH"),
+    (".src", "SLIN {X 900,Y 0,Z 900,A 0,B 90,C 0} WITH $IPO_MODE=#TCP", 5, "IPO_MODE=#TCP moves or shifts"),
     (".script", "movel(pose_add(get_actual_tcp_pose(), p[0,0,0.1,0,0,0]))", 4, "computed at run time"),
     (".script", "movel(w9)", 4, "'w9' is not set"),
     (".script", "servoj([0,0,0,0,0,0])", 4, "servoj moves or shifts"),
     (".script", "movel(pose_trans(plane, p[0.1,0,0.1,0,0,0]))", 4, "'plane' is not set|'plane'"),
+    (".script", "blend_move(p[0.4,0,0.4,0,3.14,0])", 4, "blend_move moves or shifts"),
+    (".script", "movej(get_inverse_kin(p[0.4,0,0.4,0,3,0], [0,-1.5,1.5,0,1,0], 0, 0, x9))", 4, "'x9' is not set"),
+    (".script", "movej(get_inverse_kin(p[0.4,0,0.4,0,3.14,0], limits=3))", 4, "told by 'limits' is not understood"),
     (".script", "movej([0,-1.5,1.5,0,1])", 4, "computed at run time|not six"),
     (".ls", "L PR[3] 100mm/sec FINE", None, "is a register"),
     (".ls", "L P[R[1]] 100mm/sec FINE", None, "is a register"),
@@ -348,6 +353,66 @@ def test_what_is_not_understood_is_refused_by_line_or_left_as_it_is(ending, line
     done = compensate_program(arm_of(language, changes_of(1)), program, skip_unknown=True)
     assert done.reached.any()  # the joint target above it
     assert line in done.texts[0]
+
+
+def test_frames_that_a_program_changes_cannot_be_given(tmp_path):
+    """What an option states would hold at one of its moves, and not at the other."""
+    line = "MoveL p1,v100,fine,t1\\WObj:=w1; w1.oframe.trans.x:=w1.oframe.trans.x+50; MoveL p1,v100,fine,t1\\WObj:=w1;"
+    work = '  PERS wobjdata w1:=[FALSE,TRUE,"",[[100,0,0],[1,0,0,0]],[[0,10,0],[1,0,0,0]]];\n  PROC main'
+    (tmp_path / "m.mod").write_text(RAPID.format(line=line).replace("  PROC main", work))
+    (tmp_path / "m.src").write_text(
+        KRL.format(line="$BASE=BASE_DATA[2]\nBASE_DATA[2].X=100\nLIN {X 1,Y 2,Z 3,A 0,B 0,C 0}")
+    )
+    for name, frame, given in (
+        ("m.mod", "w1", [100, 10, 0, 1, 0, 0, 0]),
+        ("m.src", "BASE_DATA[2]", [0, 0, 0, 0, 0, 0]),
+    ):
+        for bases in ({}, {frame: given}):
+            (puzzle, *_) = read_program(tmp_path / name, bases=bases).puzzles
+            assert puzzle.what == f"the program itself sets the base '{frame}', more than once or in parts"
+            assert puzzle.fix == "Set it once, with plain numbers, or correct its moves by hand"
+
+
+def test_a_tool_of_inverse_kinematics_and_optimised_moves_are_read(tmp_path):
+    pose, joints = "p[0.4,0.1,{},0,3.14,0]", "[0,-1.5,1.5,0,1,0]"
+    lines = [
+        f"movej(get_inverse_kin({pose.format(0.1)}, {joints}, 1e-6, 1e-6, p[0,0,0.3,0,0,0]))",
+        f"movej(get_inverse_kin({pose.format(0.2)}, {joints}, tcp=p[0,0,0.3,0,0,0]))",
+        f'movej(get_inverse_kin({pose.format(0.3)}, qnear={joints}, tcp="active_tcp"))',
+        f"optimovel({pose.format(0.4)})",
+        "optimovej([0,-1,1,0,1,0])",
+    ]
+    (tmp_path / "m.script").write_text(SCRIPT.format(line="\n  ".join(lines)))
+    program = read_program(tmp_path / "m.script")
+    assert not program.puzzles
+    assert [move.motion for move in program.moves] == ["joint", "joint", "joint", "joint", "linear", "joint"]
+    assert [each.tool[2, 3] for each in program.targets if each.kind == "pose"] == [300, 300, 100, 100]
+
+
+def test_a_spline_has_frames_of_its_own_and_a_jump_back_is_a_loop(tmp_path):
+    data = """DEFDAT m
+DECL E6POS XP1={X 900,Y 0,Z 900,A 0,B 90,C 0,S 2,T 0}
+DECL E6POS XP2={X 910,Y 0,Z 900,A 0,B 90,C 0,S 2,T 0}
+DECL FDAT FP1={TOOL_NO 1,BASE_NO 1,IPO_FRAME #BASE}
+DECL FDAT FP2={TOOL_NO 2,BASE_NO 2,IPO_FRAME #BASE}
+ENDDAT
+"""
+    frames = {"tools": {f"TOOL_DATA[{k}]": [0, 0, 100.0 * k, 0, 0, 0] for k in (1, 2)},
+              "bases": {f"BASE_DATA[{k}]": [10.0 * k, 0, 0, 0, 0, 0] for k in (1, 2)}}  # fmt: skip
+    head = "DEF m()\nFDAT_ACT=FP1\nBAS(#BASE,1)\nBAS(#TOOL,1)\n"
+    (tmp_path / "m.dat").write_text(data)
+    spline = "SPLINE WITH $BASE=SBASE(FP2.BASE_NO), $TOOL=STOOL2(FP2)\n SPL XP1\nENDSPLINE\nSLIN XP2\nEND\n"
+    (tmp_path / "m.src").write_text(head + spline)
+    program = read_program(tmp_path / "m.src", **frames)
+    assert not program.puzzles
+    assert [(each.name, each.tool[2, 3], each.base[0, 3]) for each in program.targets] == [
+        ("XP1", 200, 20),
+        ("XP2", 100, 10),
+    ]
+    (tmp_path / "m.src").write_text(f"{head}AGAIN:\nLIN XP1\nBAS(#BASE,2)\nLIN XP2\nGOTO AGAIN\nEND\n")
+    del frames["tools"]["TOOL_DATA[2]"]
+    (puzzle,) = read_program(tmp_path / "m.src", **frames).puzzles
+    assert (puzzle.line, puzzle.what[:21]) == (6, "which base holds here")
 
 
 def test_moves_within_a_shift_stay_as_they_are(tmp_path):
