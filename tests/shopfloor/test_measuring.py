@@ -737,12 +737,12 @@ def test_postures_are_moved_to_where_their_plates_stand(hsr, tmp_path, apart, ti
         0,
         np.random.default_rng(1),
     )
-    far_off = sum(not 0 <= read_truly(far, Touch.of(route.samples, k)) <= 10 for k in range(len(route)))
+    warned, far_off = 0, sum(not 0 <= read_truly(far, Touch.of(route.samples, k)) <= 10 for k in range(len(route)))
     for number in range(1, len(route) + 1):
         session, touch = recording.session, recording.proposed
         planned, reading = session.planned(number), read_truly(far, touch)
         assert touch.number == number
-        assert recording.warning is None
+        warned += recording.warning is not None  # of a posture that the arm could not take further back
         if not np.array_equal(touch.joints, planned.joints):
             moved += 1
             wanted, before = touch.columns["reading"], session.expected(planned)[0]
@@ -772,6 +772,7 @@ def test_postures_are_moved_to_where_their_plates_stand(hsr, tmp_path, apart, ti
     assert moved > 20
     assert by_hand <= 10
     assert doubted <= (1 if apart < 20 else 4)
+    assert warned <= (0 if apart < 20 else 2)
 
 
 def test_a_posture_is_not_moved_to_where_the_arm_cannot_go(hsr, tmp_path, monkeypatch):
