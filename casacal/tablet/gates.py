@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
 
+import numpy as np
+
 from casacal.data.samples import WRITTEN
 from casacal.errors import CasacalError, SimulationError
 from casacal.model.instrument import readings_within
@@ -93,10 +95,18 @@ def _cell(work: Work) -> dict[str, Any]:
     problem, probe = work.source.problem, work.source.problem.instrument.probe
     still = cell_of(problem, work.source.cell)
     facts = [["Arm", f"{problem.robot.name}, {counted(len(problem.robot.axes), 'joint')}"]]
+    units = [WRITTEN[kind][1] for kind in problem.layout().joints]
+    limits = ", ".join(f"{low:.0f} to {high:.0f}" for low, high in (np.array(problem.robot.limits) * units).T)
+    facts.append(["Joint limits", f"{limits} (degrees, mm)"])
     facts.append(["Instrument", f"{problem.names[0]}; read: {in_units(problem.layout()) or 'nothing, it touches'}"])
+    tool = problem.instrument.unknowns.get("tool")
+    if tool is not None and tool.nominal is not None and np.size(tool.nominal) == 3:
+        facts.append(["Tip in the flange's frame", f"({', '.join(f'{each:g}' for each in tool.nominal)}) mm"])
     if probe is not None and probe.column is not None:
         low, high = readings_within(probe.travel)
         facts.append(["Travel of the dial", f"{low:g} to {high:g} mm"])
+        way = "comes out" if probe.sign > 0 else "is pushed in"
+        facts.append(["It reads more as the plunger", f"{way}; otherwise its sign in the problem file is wrong"])
     facts.append(["Table", f"z = {still.table:g} mm" if math.isfinite(still.table) else "not said"])
     for face in still.faces if isinstance(still, Cell) else ():
         (x, y, z), (u, v, w), (wide, deep) = face.centre, face.axes[0], face.size

@@ -388,6 +388,18 @@ def test_too_few_touches_are_said_before_anybody_makes_them(hsr, planned, tmp_pa
     assert document(other)["gates"]["measure"]["next"]["arm"] is not None
 
 
+def test_the_first_gate_says_what_the_problem_takes_for_granted(workplace, tmp_path):
+    facts = dict(document(Work(workplace))["gates"]["cell"]["facts"])
+    assert facts["Joint limits"].startswith("-160 to 160, -85 to 85, -80 to 80, ")
+    assert facts["Tip in the flange's frame"] == "(0, 0, 0) mm"
+    assert facts["It reads more as the plunger"].startswith("comes out; otherwise its sign")
+    pushed = load_problem(ROOT / "problems" / "ur5")
+    workplace = Workplace(pushed, tmp_path, PLAIN, 0.0, Clearance())
+    assert dict(document(Work(workplace))["gates"]["cell"]["facts"])["It reads more as the plunger"].startswith(
+        "is pushed in"
+    )
+
+
 def test_the_posture_of_another_touch_is_not_taken_for_this_one(workplace, planned):
     work = Work(workplace)
     joints = work.recording.session.plan.samples.joints
