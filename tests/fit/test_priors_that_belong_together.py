@@ -144,7 +144,8 @@ def test_touches_at_the_machine_are_expected_by_priors_that_belong_together(ur5,
     information = bound.information(known.x) + np.linalg.inv(
         np.where(np.isfinite(bound.prior_covariance), bound.prior_covariance, np.diag(scale**2))
     )
-    assert found.covariance * np.outer(scale, scale) == pytest.approx(np.linalg.inv(information), rel=1e-5, abs=1e-12)
+    scaled = information * np.outer(scale, scale)  # in mm and rad it is too ill conditioned to be inverted
+    assert found.covariance == pytest.approx(np.linalg.inv(scaled), rel=1e-5, abs=1e-9)
 
 
 def test_a_box_under_a_loss_errs_as_the_workspace(ur5, rows):
