@@ -26,7 +26,7 @@ ASSIGNED = re.compile(r"(?<![\w.\\])(\w+)\s*(?:\.\w+|\{[^}\r\n]*\})*\s*:=")
 MOVES = re.compile(rf"{WORD}Move(AbsJ|J|L|C)(?:DO|AO|GO|Sync)?(?![\w:])([^;]*);")
 KNOWN = re.compile(r"(?i)Move(?:AbsJ|J|L|C)(?:DO|AO|GO|Sync)?|MoveExtJ")
 OTHERS = re.compile(
-    rf"{WORD}(Trigg[JLC](?:IOs|DO)?|Search[LC]|Arc[LC]\w*|Spot[JLM]\w*|Disp[LC]|Paint[LC]|CapL|CSS\w+|EGMMove[LC]|"
+    rf"{WORD}(Trigg(?:AbsJ|[JLC])(?:IOs|DO)?|Search[LC]|Arc[LC]\w*|Spot[JLM]\w*|Disp[LC]|Paint[LC]|CapL|CSS\w+|EGMMove[LC]|"
     r"SetDataVal|CorrCon|EOffsOn|EOffsSet|PDispOn|PDispSet|Move(?:ExtJ|AbsJ|J|L|C)\w*)(?![\w:])"
 )
 LEFT_OPEN = re.compile(rf"{WORD}(Conf[LJ])\s*\\\s*Off(?!\w)")

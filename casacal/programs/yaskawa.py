@@ -24,7 +24,7 @@ HEAD = re.compile(r"(?m)^///(POSTYPE|TOOL|USER|RCONF)\b[ \t]*([^\r\n]*)")
 POINT = re.compile(r"(?m)^(C\d+)[ \t]*=[ \t]*([^\r\n]*)")
 MOVES = re.compile(r"(?m)^[ \t]*(?:\d{4}[ \t]+)?(MOV[JLCS])\b[ \t]*([^\r\n]*)")
 OTHERS = re.compile(
-    r"(?m)^[ \t]*(?:\d{4}[ \t]+)?(IMOV|REFP|SMOV\w*|MFRAME|ARCSHIFT|MOV[JLCS]\w+|SFTON|SETTOOL|SETUSER)\b"
+    r"(?m)^[ \t]*(?:\d{4}[ \t]+)?(IMOV|EIMOV[LC]|REFP|SMOV\w*|MFRAME|ARCSHIFT|MOV[JLCS]\w+|SFTON|SETTOOL|SETUSER)\b"
 )
 SHIFTS = re.compile(r"(?m)^[ \t]*(?:\d{4}[ \t]+)?(SFTON|SFTOF)\b")
 MOTIONS: Mapping[str, Motion] = {"MOVJ": "joint", "MOVL": "linear", "MOVC": "via", "MOVS": "spline"}

@@ -296,3 +296,10 @@ def test_unknowns_that_few_rows_determine_cost_them_worth(rows, unknowns, wrong)
 def test_a_threshold_that_is_none_is_refused(loss, threshold):
     with pytest.raises(ProblemError, match=r"as the threshold of a loss\. Give a positive number"):
         loss(threshold)
+
+
+def test_noise_groups_of_an_arm_are_its_faces(corner_bound):
+    labels = np.array(list(corner_bound.samples[0].labels["plane"]))
+    groups = [set(labels[rows]) for rows in corner_bound.noise_groups]
+    assert sorted(map(sorted, groups)) == sorted([name] for name in set(labels))
+    assert sorted(np.concatenate(corner_bound.noise_groups)) == list(range(corner_bound.rows))

@@ -306,6 +306,7 @@ NOT_UNDERSTOOD = [
     (".mod", "p1:=CRobT();  MoveL p1,v100,fine,t1;", 7, "set again at run time"),
     (".mod", "PDispSet d; MoveL p1,v100,fine,t1;", 7, "shifts the"),
     (".mod", "Pick p1, 50;", 7, "what is done with the target 'p1'"),
+    (".mod", "TriggAbsJ [[0,0,0,0,45,0],[9E9,9E9,9E9,9E9,9E9,9E9]],v100,t,fine,t1;", 7, "TriggAbsJ moves or shifts"),
     (".mod", "SearchL di1, sp, p1, v100, t1;", 7, "SearchL moves or shifts"),
     (".mod", "MoveL [[900,0,900],[0,0,2,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]],v100,fine,t1;", 7, "length 2, not 1"),
     (".mod", "MoveL [[900,0,900],[0,0,1,0],[0,0,0,0],[500,9E9,9E9,9E9,9E9,9E9]],v100,fine,t1;", 7, "external axis"),
@@ -332,6 +333,7 @@ NOT_UNDERSTOOD = [
     (".ls", "L P[7] 100mm/sec FINE", None, r"P\[7\]. is not set"),
     (".jbi", "MOVL P001 V=1", 12, "variable"),
     (".jbi", "MOVL C00001 V=1", 12, "pulses"),
+    (".jbi", "EIMOVL P001 V=1", 12, "EIMOVL moves or shifts"),
     (".jbi", "IMOV P001 V=1", 12, "IMOV moves or shifts"),
     (".jbi", "MOVL C00000 BC00001 V=1", 12, "another machine"),
 ]  # fmt: skip
