@@ -33,7 +33,7 @@ from casacal.study.statistics import Interval, success_rate
 from studies.reporting import PROBLEMS, figure, palette, percent, save, script, table
 from studies.true_cell import World
 
-SESSIONS, WRONG, TOLERANCE, GROSS = 500, 0.05, 1.4, 5.0
+SESSIONS, WRONG, TOLERANCE, GROSS = 300, 0.05, 1.4, 5.0
 """Sessions; part of touches that are typed wrong; mm; standard deviations of what was to be expected."""
 
 KINDS = ("sign", "digit", "face", "revolution")
