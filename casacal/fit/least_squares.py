@@ -22,6 +22,7 @@ from casacal.kernels.losses import Loss, worth_under
 from casacal.linalg import damped_solution, freed_of, posterior_covariance, revealed_solution, unit_scale, whitening_of
 from casacal.values import EMPTY, Array, FrozenMapping, Index, Rows, Value, frozen, short
 
+MOST_ENTRIES = 20_000_000  # of a Jacobian that is held in memory at once; so many rows share one worth
 FEWEST_OF_A_GROUP = 10  # residuals beyond what they determine, from which on they speak of a noise of their own
 
 
@@ -495,8 +496,10 @@ class Result(Value):
 
         Gross rows of one instrument say nothing of another's.
         """
-        r, jacobian = self.problem.residual(self.x), self.problem.jacobian(self.x)
-        weight = loss.weight(r)
+        r = self.problem.residual(self.x)
+        if r.size * self.x.size > MOST_ENTRIES:
+            return np.asarray(worth_under(loss, r) * weighted)
+        jacobian, weight = self.problem.jacobian(self.x), loss.weight(r)
         spread = self.problem.posterior(weighted, self.x)
         spread = np.where(np.isfinite(spread), spread, 0.0)
         determined = weight * np.einsum("ij,jk,ik->i", jacobian, spread, jacobian, optimize=True)

@@ -303,3 +303,16 @@ def test_noise_groups_of_an_arm_are_its_faces(corner_bound):
     groups = [set(labels[rows]) for rows in corner_bound.noise_groups]
     assert sorted(map(sorted, groups)) == sorted([name] for name in set(labels))
     assert sorted(np.concatenate(corner_bound.noise_groups)) == list(range(corner_bound.rows))
+
+
+def test_millions_of_rows_share_one_worth(corner_bound, monkeypatch):
+    """Their Jacobian is never held; what is left is J'WJ of the kernels by one factor."""
+    monkeypatch.setattr("casacal.fit.least_squares.MOST_ENTRIES", 0)
+    found = lm(corner_bound, loss=huber())
+    r, jacobian = corner_bound.residual(found.x), corner_bound.jacobian(found.x)
+    data = worth_under(huber(), r) * jacobian.T @ (jacobian * huber().weight(r)[:, None])
+    meant = np.linalg.inv(data + corner_bound.prior_information)
+    scale = corner_bound.start_std
+    assert found.covariance / np.outer(scale, scale) == pytest.approx(
+        meant / np.outer(scale, scale), rel=1e-5, abs=1e-8
+    )
