@@ -39,8 +39,6 @@ ON_THE_WAY = 60  # postures looked at between two touches
 FREE = 2.0  # how near the tip may come to a face between touches, mm
 ARRIVED = 0.05  # by how much a place above may be missed, mm
 
-Clear = Callable[[Array, Array], bool]  # whether the way from one posture (n,) to another keeps clear
-
 
 @dataclass(frozen=True, eq=False)
 class Approaches(Value):
@@ -83,36 +81,13 @@ def approaches(
         what = f"From no touch can the arm draw back by {retreat:g} mm inside its joint limits"
         raise CasacalError(what, "Give a smaller --retreat")
     levels = [level[back] for level in every]
-    chosen, clear = np.zeros(int(back.sum()), dtype=int), np.ones(int(back.sum()), dtype=bool)
+    chosen, clear, via = np.zeros(int(back.sum()), dtype=int), np.ones(int(back.sum()), dtype=bool), levels[0] * np.nan
     if isinstance(still, Cell):
         is_clear = partial(_is_clear, arm, still, (clearance or Clearance()).around(problem.robot, still))
-        touched, faces = np.flatnonzero(back), None if probe.label is None else samples.labels[probe.label]
-
-        @cache
-        def down(k: int, level: int) -> bool:
-            """Whether the way down to touch k, and back, is clear from a level."""
-            row, face = touched[k], "" if faces is None else faces[touched[k]]
-            start, end = levels[level][k], samples.joints[row]
-            return bool(np.isfinite(start).all()) and is_clear(start, end, reading=readings[row], touched=face)
-
-        clear[0] = down(0, 0)
-        for k in range(1, len(clear)):
-            clear[k] = _raised(is_clear, down, levels, chosen, k)
+        labels = [""] * len(samples) if probe.label is None else samples.labels[probe.label]
+        faces = [still.face(labels[k]).label for k in np.flatnonzero(back).tolist()]
+        chosen, clear, via = _StraightWays(is_clear, levels, samples.joints[back], readings[back], faces).found()
     above = np.array([levels[level][k] for k, level in enumerate(chosen)])
-    if isinstance(still, Cell):  # an end may have been raised since its way was looked at
-        legs = [down(k, level) for k, level in enumerate(chosen.tolist())]
-        for k in np.flatnonzero(clear).tolist():
-            clear[k] = legs[k] and (k == 0 or is_clear(above[k - 1], above[k]))
-    via = np.full_like(above, np.nan)
-    if isinstance(still, Cell):
-        places = levels[-1][np.isfinite(levels[-1]).all(axis=1)]
-        for k in (k for k in np.flatnonzero(~clear).tolist() if k and legs[k]):
-            start, end = above[k - 1], above[k]
-            lengths = np.abs(places - start).max(axis=1) + np.abs(places - end).max(axis=1)
-            for place in places[np.argsort(lengths)[:MOST_PLACES]]:  # the shortest way first
-                if is_clear(start, place) and is_clear(place, end):
-                    via[k], clear[k] = place, True
-                    break
     of_all = np.full((2, *every[0].shape), np.nan)
     retreats, free = np.full(len(route), np.nan), np.zeros(len(route), dtype=np.bool_)
     of_all[:, back], free[back] = (above, via), clear
@@ -120,17 +95,58 @@ def approaches(
     return Approaches(of_all[0], retreats, of_all[1], free)
 
 
-def _raised(clear: Clear, down: Callable[[int, int], bool], levels: list[Array], chosen: Index, k: int) -> bool:
-    """Raise both ends of the way to touch k until it is clear, and their ways down are; whether they are."""
-    for level in range(len(levels)):
-        ends = [max(int(chosen[k - 1]), level), max(int(chosen[k]), level)]
-        start, end = levels[ends[0]][k - 1], levels[ends[1]][k]
-        if not (np.isfinite(start).all() and np.isfinite(end).all()):
-            return False
-        if down(k - 1, ends[0]) and down(k, ends[1]) and clear(start, end):
-            chosen[k - 1], chosen[k] = ends
-            return True
-    return False
+@dataclass(frozen=True)
+class _StraightWays:
+    """Ways from touch to touch by places above them, which are looked at as they are needed.
+
+    levels: joint values (M, n) above the touches, one array a height, the lowest first. touches, readings, faces: joint
+    values (M, n), readings (M,; mm) and labels of the faces of the touches themselves.
+    """
+
+    clear: Callable[..., bool]
+    levels: list[Array]
+    touches: Array
+    readings: Array
+    faces: Sequence[str]
+
+    def found(self) -> tuple[Index, Rows, Array]:
+        """The level of each touch (M,), which ways to touches are clear (M,), and what they lead through (M, n)."""
+        chosen, clear = np.zeros(len(self.touches), dtype=int), np.zeros(len(self.touches), dtype=bool)
+        down = cache(self._down)
+        clear[0] = down(0, 0)
+        for k in range(1, len(clear)):
+            clear[k] = self._raised(down, chosen, k)
+        above = np.array([self.levels[level][k] for k, level in enumerate(chosen)])
+        legs = [down(k, level) for k, level in enumerate(chosen.tolist())]
+        for k in np.flatnonzero(clear).tolist():  # an end may have been raised since its way was looked at
+            clear[k] = legs[k] and (k == 0 or self.clear(above[k - 1], above[k]))
+        via, places = np.full_like(above, np.nan), self.levels[-1][np.isfinite(self.levels[-1]).all(axis=1)]
+        for k in (k for k in np.flatnonzero(~clear).tolist() if k and legs[k]):
+            start, end = above[k - 1], above[k]
+            lengths = np.abs(places - start).max(axis=1) + np.abs(places - end).max(axis=1)
+            for place in places[np.argsort(lengths)[:MOST_PLACES]]:  # the shortest way first
+                if self.clear(start, place) and self.clear(place, end):
+                    via[k], clear[k] = place, True
+                    break
+        return chosen, clear, via
+
+    def _down(self, k: int, level: int) -> bool:
+        """Whether the way from a level down to touch k, and back, is clear."""
+        start = self.levels[level][k]
+        there = bool(np.isfinite(start).all())
+        return there and self.clear(start, self.touches[k], reading=self.readings[k], touched=self.faces[k])
+
+    def _raised(self, down: Callable[[int, int], bool], chosen: Index, k: int) -> bool:
+        """Raise both ends of the way to touch k until it is clear, and their ways down are; whether they are."""
+        for level in range(len(self.levels)):
+            ends = [max(int(chosen[k - 1]), level), max(int(chosen[k]), level)]
+            start, end = self.levels[ends[0]][k - 1], self.levels[ends[1]][k]
+            if not (np.isfinite(start).all() and np.isfinite(end).all()):
+                return False
+            if down(k - 1, ends[0]) and down(k, ends[1]) and self.clear(start, end):
+                chosen[k - 1], chosen[k] = ends
+                return True
+        return False
 
 
 def _is_clear(
@@ -144,7 +160,7 @@ def _is_clear(
     length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
     joints, tips = _way(arm, start, end, max(ON_THE_WAY, math.ceil(length / FREE)), reading)
     for face in cell.faces:
-        if face.label == touched or (touched and len(cell.faces) == 1):
+        if face.label == touched:
             continue
         local = (tips - face.centre) @ face.axes.T
         over = (np.abs(local[:, 1:]) <= np.asarray(face.size) / 2 + FREE).all(axis=1)

@@ -10,7 +10,7 @@ import pytest
 from conftest import ROOT
 from measured_world import World, taken
 
-from casacal import CasacalError, load_problem, plan, simulate
+from casacal import CasacalError, Cell, DialOnPlane, Plane, Problem, load_problem, plan, plate, simulate
 from casacal.cli.main import main
 from casacal.planning.candidates import cell_of, pool_of
 from casacal.planning.clearance import Clearance, drawn_touch
@@ -95,6 +95,16 @@ def test_no_way_that_is_called_clear_leads_through_block_or_plates(touches, pool
                     deep = inside(tool, face, 100.0 if face.label == "block" else 20.0).max()
                     assert deep < 0.5, f"the way to touch {k + 1} leads {deep:.1f} mm into {face.label}"
     assert looked > 100
+
+
+def test_a_single_face_without_a_label_is_touched_from_above(hsr):
+    """Its own face does not stand in the way down to it."""
+    alone = Problem(hsr.problem.robot, DialOnPlane(noise_std=0.01, plane=Plane()))
+    cell = Cell(faces=plate((1200.0, 0.0, 300.0)))
+    made = plan(alone, cell, touches=12, pool=200, starts=1, seed=1)
+    assert not made.samples.labels
+    way = approaches(alone, made, cell)
+    assert way.clear.sum() >= 11
 
 
 @pytest.fixture(scope="module")
