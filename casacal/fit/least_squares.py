@@ -502,7 +502,8 @@ class Result(Value):
         jacobian, weight = self.problem.jacobian(self.x), loss.weight(r)
         spread = self.problem.posterior(weighted, self.x)
         spread = np.where(np.isfinite(spread), spread, 0.0)
-        determined = weight * np.einsum("ij,jk,ik->i", jacobian, spread, jacobian, optimize=True)
+        of_rows = np.einsum("ij,jk,ik->i", jacobian, spread, jacobian, optimize=True)
+        determined = np.clip(weight * of_rows, 0.0, 1.0)  # more only by rounding, where little holds x
         worth = np.full(len(r), worth_under(loss, r, float(determined.sum())))
         for rows in self.problem.noise_groups:
             if len(rows) - (own := float(determined[rows].sum())) >= FEWEST_OF_A_GROUP:

@@ -36,7 +36,7 @@ def worth_under(loss: Loss, r: Array, unknowns: float = 0.0) -> float:
     pull = loss.weight(r) * r
     ahead, behind = r + STEP, r - STEP
     slopes = (loss.weight(ahead) * ahead - loss.weight(behind) * behind) / (2 * STEP)
-    slope, part = max(float(np.mean(slopes)), 0.0), unknowns / len(r)
+    slope, part = max(float(np.mean(slopes)), 0.0), min(unknowns, len(r) - 1.0) / len(r)
     spread, kept = float(np.mean(pull**2)), float(np.mean(loss.weight(r)))
     if not (spread > 0 and kept > 0 and slope > 0):
         return 1.0

@@ -161,11 +161,13 @@ def common_scale(bound: ArmProblem, x: Array, covariance: Array) -> CommonScale 
     its lengths move together where its angles and offsets do not. A dial whose gain is declared has that in B.
     """
     own = np.flatnonzero(np.isfinite(bound.prior_std) & ~bound.datum)
+    if not np.isfinite(covariance[np.ix_(own, own)]).all():
+        return None
     white = whitening_of(bound.prior_covariance[np.ix_(own, own)])
     spread = white @ covariance[np.ix_(own, own)] @ white.T
     grown = scale_direction(bound.whole)[bound.free] if isinstance(bound, ArmAlone) else scale_direction(bound)
     growth = white @ grown[own]
-    if not (np.isfinite(spread).all() and np.isfinite(x[own]).all() and growth.any()):
+    if not (np.isfinite(x[own]).all() and growth.any()):
         return None
     left, along = np.linalg.eigh(spread)
     decided = left < 1 - DULL

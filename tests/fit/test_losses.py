@@ -316,3 +316,13 @@ def test_millions_of_rows_share_one_worth(corner_bound, monkeypatch):
     assert found.covariance / np.outer(scale, scale) == pytest.approx(
         meant / np.outer(scale, scale), rel=1e-5, abs=1e-8
     )
+
+
+def test_rows_that_determine_all_they_can_keep_some_worth():
+    """As many unknowns as rows, or more by rounding: a factor that is positive, and no more than that of many rows."""
+    r = np.random.default_rng(0).normal(size=40)
+    for unknowns in (39.0, 40.0, 4e5):
+        assert 0 < worth_under(huber(), r, unknowns) < worth_under(huber(), r)
+    steep = np.vander(np.linspace(1, 1.001, 30), 20)  # far from determined in double precision
+    found = lm(Line(steep, np.sin(np.arange(30.0))), loss=huber())
+    assert (np.diagonal(found.covariance) >= 0).all()
