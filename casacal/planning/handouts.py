@@ -99,8 +99,9 @@ def approaches(
 class _StraightWays:
     """Ways from touch to touch by places above them, which are looked at as they are needed.
 
-    levels: joint values (M, n) above the touches, one array a height, the lowest first. touches, readings, faces: joint
-    values (M, n), readings (M,; mm) and labels of the faces of the touches themselves.
+    clear: whether the straight way of the joints between two postures is, as `_is_clear` with its options. levels:
+    joint values (M, n) above the touches, one array a height, the lowest first. touches, readings, faces: joint values
+    (M, n), readings (M,; mm) and labels of the faces of the touches themselves.
     """
 
     clear: Callable[..., bool]
@@ -113,13 +114,13 @@ class _StraightWays:
         """The level of each touch (M,), which ways to touches are clear (M,), and what they lead through (M, n)."""
         chosen, clear = np.zeros(len(self.touches), dtype=int), np.zeros(len(self.touches), dtype=bool)
         down = cache(self._down)
-        clear[0] = down(0, 0)
         for k in range(1, len(clear)):
             clear[k] = self._raised(down, chosen, k)
         above = np.array([self.levels[level][k] for k, level in enumerate(chosen)])
         legs = [down(k, level) for k, level in enumerate(chosen.tolist())]
-        for k in np.flatnonzero(clear).tolist():  # an end may have been raised since its way was looked at
-            clear[k] = legs[k] and (k == 0 or self.clear(above[k - 1], above[k]))
+        clear[0] = legs[0]
+        for k in (np.flatnonzero(clear[1:]) + 1).tolist():  # an end may have been raised since its way was looked at
+            clear[k] = self.clear(above[k - 1], above[k])
         via, places = np.full_like(above, np.nan), self.levels[-1][np.isfinite(self.levels[-1]).all(axis=1)]
         for k in (k for k in np.flatnonzero(~clear).tolist() if k and legs[k]):
             start, end = above[k - 1], above[k]

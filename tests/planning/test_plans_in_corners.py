@@ -14,7 +14,7 @@ from casacal import CasacalError, Cell, DialOnPlane, Plane, Problem, load_proble
 from casacal.cli.main import main
 from casacal.planning.candidates import cell_of, pool_of
 from casacal.planning.clearance import Clearance, drawn_touch
-from casacal.planning.handouts import _is_clear, approaches
+from casacal.planning.handouts import _is_clear, _StraightWays, approaches
 from casacal.planning.plan import write_plan
 from casacal.planning.route import Route, read_route, renumbered, shortest_way
 from casacal.shopfloor import Session
@@ -95,6 +95,35 @@ def test_no_way_that_is_called_clear_leads_through_block_or_plates(touches, pool
                     deep = inside(tool, face, 100.0 if face.label == "block" else 20.0).max()
                     assert deep < 0.5, f"the way to touch {k + 1} leads {deep:.1f} mm into {face.label}"
     assert looked > 100
+
+
+def test_a_way_down_that_is_blocked_is_begun_from_further_up():
+    """Of two touches: from the lower level the way down to either is blocked, from the upper one it is free."""
+    touches, levels = np.array([[0.0, 0], [10, 0]]), [np.array([[0.0, h], [10, h]]) for h in (1, 2)]
+
+    def clear(start, end, *, reading=0.0, touched=""):
+        assert (reading, touched) in ((0.0, ""), (5.0, "floor"))
+        return not (touched and start[1] == 1)
+
+    found = _StraightWays(clear, levels, touches, np.full(2, 5.0), ["floor"] * 2).found()
+    assert [each.tolist() for each in found[:2]] == [[1, 1], [True, True]]
+    never = _StraightWays(lambda *_, touched="", **__: not touched, levels, touches, np.full(2, 5.0), ["floor"] * 2)
+    assert never.found()[1].tolist() == [False, False]
+
+
+def test_a_way_is_looked_at_in_steps_that_no_thin_thing_fits_between():
+    """A post of 3 mm stands half way between two of sixty postures, which its tip passes 8 mm apart."""
+    source = load_problem(UR5)
+    pool = pool_of(source.problem, source.cell, 50, 0)
+    arm, *_ = drawn_touch(source.problem, source.problem.instrument.probe, pool)
+    start = np.array([-0.5, -1.6, -1.0, -2.0, 1.5, 0.0])
+    end = start + np.eye(6)[0]
+    (middle,), _ = arm.place(arm.local, (start + end)[None] / 2, np.zeros((1, 1)))
+    far = Cell(faces=plate((5000.0, 0.0, 0.0), size=10.0))
+    post = (tuple(zip(middle - 1.5, middle + 1.5, strict=True)),)
+    for boxes, free in (((), True), (post, False)):
+        around = Clearance(boxes, 0.0).around(source.problem.robot, replace(far, table=-1000.0))
+        assert _is_clear(arm, far, around, start, end) == free
 
 
 def test_a_single_face_without_a_label_is_touched_from_above(hsr):
