@@ -37,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     words = "-1: a larger reading shortens the tool (pushed in); +1: lengthens it"
     add(parser, "--sign", words, choices=("-1", "+1", "1"))
     add(parser, "--travel MM", "range of the dial, such as 10 or -5:5; default: 10", kind=number_or_range)
+    add(parser, "--noise MM", "standard deviation of one reading; default: 0.01", kind=float, default=0.01)
     add(parser, "--accuracy MM", "absolute accuracy of the arm as its maker states it", kind=float)
     words = "face to touch: its middle in the base frame, mm, its normal (default: upwards) and side (300)"
     add(parser, "--plate NAME:X,Y,Z[:NX,NY,NZ][:SIDE] ...", words)
@@ -57,8 +58,8 @@ def run(options: argparse.Namespace) -> int:
     tool = None if options.tool is None else _triple(options.tool)
     plates = tuple(map(_plate, options.plate))
     boxes = tuple(box_of(text, option="--keep-out") for text in options.keep_out)
-    answers = Answers(tool=tool, sign=sign, travel=options.travel, accuracy=options.accuracy, plates=plates,
-                      block=options.block, table=options.table, keep_out=boxes)  # fmt: skip
+    known = {name: getattr(options, name) for name in ("travel", "noise", "accuracy", "block", "table")}
+    answers = Answers(tool=tool, sign=sign, plates=plates, keep_out=boxes, **known)
     if not plates and (boxes or options.block is not None or options.table is not None):
         answers = _with_proposed_plates(answers, options)
     missing = list(answers.missing)

@@ -44,7 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Predict as the options say; returns 0."""
-    from casacal.deployment.arm import FLANGE_UNKNOWN, cautions, column_notes
+    from casacal.deployment.arm import FLANGE_UNKNOWN, cautions, column_notes, unit_notes
+    from casacal.deployment.compensate import ROUNDED
     from casacal.deployment.predict import joints_from, predict, write_prediction
     from casacal.programs.endings import is_program
 
@@ -56,7 +57,14 @@ def run(options: argparse.Namespace) -> int:
     joints = joints_from(options.joints, result.source)
     nominal = options.nominal
     prediction = predict(result, joints, frame=options.frame, nominal=nominal, std=options.std, force=options.force)
-    said = [] if nominal else column_notes(result, prediction.missing, prediction.beyond)
+    robot, rows = result.source.problem.robot, joints.joints
+    said = unit_notes(robot, rows)
+    lower, upper = robot.limits
+    beyond = ((lower - rows > ROUNDED) | (rows - upper > ROUNDED)).any(axis=1).nonzero()[0].tolist()
+    if beyond:
+        where = f"{len(beyond)} of {counted(len(rows), 'posture')} outside the joint limits, the first in line"
+        said.append(f"warning: {where} {joints.lines[beyond[0]]}: are unit and zeros those of the problem?")
+    said += [] if nominal else column_notes(result, prediction.missing, prediction.beyond)
     care = [] if nominal else cautions(result)
     if options.std and options.frame == "flange" and not result.flange_known:
         care.append(FLANGE_UNKNOWN)

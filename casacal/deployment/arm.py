@@ -21,6 +21,7 @@ from casacal.effects.kit import with_kit, with_link_kit
 from casacal.errors import CasacalError, RefusedResultError
 from casacal.model.problem import Problem
 from casacal.model.problem_file import ProblemFile
+from casacal.model.robot import Robot
 from casacal.model.term import Site
 from casacal.model.unknown import Parameter
 from casacal.values import Array, FrozenMapping, Value
@@ -337,6 +338,12 @@ def whole_rows(
     for name, values in columns.items():
         rows[:, joints + names.index(name)] = values
     return rows
+
+
+def unit_notes(robot: Robot, joints: Array) -> list[str]:
+    """A warning of joint values (N, n; rad, mm) that are all so small that they may be radians, read as degrees."""
+    small = 0 < math.degrees(np.abs(joints[:, robot.revolute]).max(initial=0.0)) <= math.tau
+    return ["warning: no joint value is larger than 6.3 degrees: are they radians?"] if small else []
 
 
 def column_notes(arm: CalibratedArm, missing: Mapping[str, tuple[str, ...]], beyond: Sequence[str]) -> list[str]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casacal.deployment.arm import FLANGE_UNKNOWN, TRUTH, CalibratedArm, column_notes
+from casacal.deployment.arm import FLANGE_UNKNOWN, TRUTH, CalibratedArm, column_notes, unit_notes
 from casacal.deployment.compensate import Compensation, Outcome, Rounding
 from casacal.deployment.inverse_kinematics import torn
 from casacal.errors import CasacalError, refuse_unknown
@@ -158,6 +158,7 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
             f"{_figures(compensation.expected_mm[reached], 'mm')}; standard deviation, apart from the pose of the "
             "base, whose origin and directions must be taught"
         )
+    lines += [] if targets.joints is None else unit_notes(robot, targets.joints)
     lines += column_notes(result, compensation.missing, compensation.beyond)
     if len(robot.axes) < 6:
         lines.append("fewer than six joints: position first, the orientation as near as the position allows")

@@ -18,6 +18,7 @@ from casacal.model.joints import Conventions, Joint
 from casacal.model.problem_file import FILL_IN
 from casacal.model.unknown import tangent_basis
 
+LEAST_NOISE = 1e-4  # mm; gauges that one reads by hand repeat no better
 FINEST = 0.01  # mm; an accuracy below it was given in metres
 
 
@@ -45,9 +46,10 @@ class Answers:
     """A user's answers about a new cell; None or empty for what was not said.
 
     tool: the tip at reading zero in the flange frame, mm. sign: +1 where a larger reading lengthens the tool, -1 where
-    it shortens it. accuracy: absolute accuracy of the arm as its maker states it, mm. plates: the faces to touch, and
-    whether they were only proposed. block: height of a gauge block on the first of them, mm. table: height of the table
-    on which all stands, mm in the base frame, -inf for none. keep_out: ranges of x, y, z that the arm must not enter.
+    it shortens it. noise: standard deviation of a reading, mm. accuracy: absolute accuracy of the arm as its maker
+    states it, mm. plates: the faces to touch, and whether they were only proposed. block: height of a gauge block on
+    the first of them, mm. table: height of the table on which all stands, mm in the base frame, -inf for none.
+    keep_out: ranges of x, y, z that the arm must not enter.
 
     Raises CasacalError for what cannot be.
     """
@@ -55,6 +57,7 @@ class Answers:
     tool: tuple[float, float, float] | None = None
     sign: int | None = None
     travel: Travel | None = None
+    noise: float = 0.01
     accuracy: float | None = None
     plates: tuple[Plate, ...] = ()
     proposed: bool = False
@@ -70,6 +73,9 @@ class Answers:
         low, high = readings_within(10.0 if self.travel is None else self.travel)
         if not -FARTHEST < low < high < FARTHEST or plain(low) == plain(high):
             raise CasacalError(f"The dial's travel is {self.travel!r}", "Give its range in mm, such as 10 or -5:5")
+        if not LEAST_NOISE <= self.noise <= 1.0:
+            what = f"The noise of a reading is {self.noise:g} mm"
+            raise CasacalError(what, f"Give the standard deviation of one reading, {LEAST_NOISE:g} to 1 mm")
         if self.accuracy is not None and not FINEST <= self.accuracy < math.inf:
             raise CasacalError(f"The maker's accuracy is {self.accuracy:g} mm", f"Give mm, {FINEST} or more")
         if self.block is not None and not 1.0 <= self.block <= HIGHEST_BLOCK:
@@ -171,6 +177,7 @@ class Answers:
             "todo": {name: "" if value is not None else f" {FILL_IN}." for name, value in vars(self).items()},
             "tool": ", ".join(map(plain, self.tool or (0.0, 0.0, 0.0))),
             "sign": "+1" if self.sign == 1 else "-1",
+            "noise": plain(self.noise),
             "travel": f"({', '.join(map(plain, travel))})" if isinstance(travel, tuple) else plain(travel),
             "accuracy": None if self.accuracy is None else plain(self.accuracy),
         }

@@ -110,10 +110,13 @@ def uploaded(asked: Mapping[str, Any], place: Path) -> dict[Path, str]:
     return kept
 
 
-def corrected(arm: CalibratedArm, path: Path, name: str, frame: Frame) -> tuple[list[tuple[str, bytes]], list[str]]:
+def corrected(
+    arm: CalibratedArm, path: Path, name: str, frame: Frame, *, leave: bool = False
+) -> tuple[list[tuple[str, bytes]], list[str]]:
     """Endings and bytes of corrected targets or of a program, and sentences; raises CasacalError where it is refused.
 
-    name: what the file is called where it came from. frame: what goes where it was meant to go.
+    name: what the file is called where it came from. frame: what goes where it was meant to go. leave: whether moves of
+    a program that cannot be corrected stay as they are, and are named.
     """
     from casacal.deployment.arm import FLANGE_UNKNOWN, cautions, column_notes
     from casacal.deployment.compensate import Outcome, compensate, read_targets
@@ -123,7 +126,7 @@ def corrected(arm: CalibratedArm, path: Path, name: str, frame: Frame) -> tuple[
     from casacal.programs.read import read_program
 
     if is_program(path):
-        found = compensate_program(arm, read_program(path), frame=frame)
+        found = compensate_program(arm, read_program(path), frame=frame, skip_unknown=leave)
         off, left = found.correction_mm[found.reached], found.expected_mm[found.reached]
         said = [f"Left as it is: line {each.line}, {each.what}" for each in found.program.puzzles]
         said += [f"Left as it is: {found.program.targets[i].name}: {why}" for i, why in found.why.items()]

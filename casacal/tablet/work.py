@@ -497,7 +497,9 @@ class Work:
             wholes = [path for path in kept if path.suffix != ".dat"]
             for path in wholes:
                 try:
-                    made, words = corrected(self.arm, path, kept[path], cast(Frame, frame))
+                    made, words = corrected(
+                        self.arm, path, kept[path], cast(Frame, frame), leave=asked.get("leave") is True
+                    )
                 except CasacalError as error:
                     here, there = str(path.with_suffix("")), Path(kept[path]).stem
                     kind = RefusedResultError if isinstance(error, RefusedResultError) else CasacalError
@@ -539,4 +541,5 @@ def for_page(words: str) -> str:
     own = "these are commands and options of casacal in a terminal, which can take turns with this page"
     if OF_SET_UPS.search(words):
         own = "options of casacal plan in a terminal: end this page, plan there, and serve the problem that it writes"
+    words = words.replace("with --skip-unknown", "with the box under Hand over")
     return f"{words} ({own})" if OF_TERMINAL.search(words) else words

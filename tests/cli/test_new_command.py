@@ -82,6 +82,16 @@ def test_the_folder_is_the_file(place, source, capsys):
     assert max(len(line) for line in (folder / "README.md").read_text().splitlines()) <= 120
 
 
+def test_a_better_gauge_is_believed_and_an_unlikely_one_is_not(place, capsys):
+    assert main(["new", "mine", "--dh", "ur5.csv", "--noise", "0.002"]) == 0
+    assert load_problem("mine").problem.instrument.noise_std == 0.002
+    capsys.readouterr()
+    for wrong in ("10", "0", "-1", "nan"):
+        assert main(["new", "other", "--dh", "ur5.csv", f"--noise={wrong}"]) == 2
+        assert "noise" in capsys.readouterr().err
+    assert not (place / "other").exists()
+
+
 def test_parallel_axes_are_found(place, capsys):
     (place / "plain.csv").write_text(UR5_CSV.replace("# parallel: 2, 3\n", ""))
     assert main(["new", "mine", "--dh", "plain.csv"]) == 0

@@ -427,6 +427,25 @@ def test_the_command_says_what_it_did(cell, tmp_path, capsys):
     assert main(["compensate", str(cell(0)[0]), str(tmp_path / "t.csv"), "--out", str(out)]) == 0
 
 
+def test_joint_values_of_another_unit_are_asked_about(cell, tmp_path, capsys):
+    """Radians under degrees lie near zero, and degrees under radians past the limits."""
+    result = cell(0)[0]
+    small, large, right = (tmp_path / f"{name}.csv" for name in ("small", "large", "right"))
+    header = ",".join(f"q{k}_deg" for k in range(1, 7))
+    small.write_text(f"{header}\n0.2,0.1,-0.3,0.4,1.5,0.6\n0.1,0.2,-0.1,0.2,6.2,0.1\n")
+    right.write_text(f"{header}\n0.2,0.1,-0.3,0.4,6.4,0.6\n")
+    large.write_text(header.replace("deg", "rad") + "\n0.1,0.1,-0.3,0.4,0.5,0.6\n20,10,-30,40,50,60\n")
+    for command in ("predict", "compensate"):
+        for file, words in ((small, "are they radians?"), (large, "line 3"), (right, "")):
+            main([command, str(result), str(file), "--out", str(tmp_path / "o.csv")])
+            said = capsys.readouterr().out
+            assert words in said, (command, file, said)
+            assert ("are they radians?" in said) == (file == small)
+            assert ("outside the joint limits" in said) == (file == large), said
+            held = (tmp_path / "o.csv").read_text()
+            assert ("are they radians?" in held) == (file == small)
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [

@@ -892,10 +892,10 @@ def ur5_arm():
     return calibrate(source, simulate(source.problem, source.cell, samples=80, seed=3).samples).arm
 
 
-def hand_over(work, frame, **files):
+def hand_over(work, frame, leave=False, **files):
     data = {name.replace("_", "."): base64.b64encode(text.encode()).decode() for name, text in files.items()}
     sent = [{"name": name, "data": each} for name, each in data.items()]
-    found = work.do("correct", {"version": work.version, "files": sent, "frame": frame})
+    found = work.do("correct", {"version": work.version, "files": sent, "frame": frame, "leave": leave})
     return {each["name"]: base64.b64decode(each["data"]).decode() for each in found["files"]}, found["said"]
 
 
@@ -951,6 +951,19 @@ def test_several_files_are_all_corrected_or_none(calibrated):
     assert "a.script holds no move" in str(refused.value)
 
 
+def test_moves_that_cannot_be_corrected_stay_where_that_is_wanted(calibrated):
+    """One singular posture keeps back a program, and the page says how to have the others corrected."""
+    work, straight = page_of(calibrated), "movej([0,0,0,0,-1.5707963,0])\n"
+    with pytest.raises(CasacalError, match=r"line 2.*singular") as refused:
+        hand_over(work, "flange", a_script=SCRIPT + straight)
+    assert "with the box under Hand over" in for_page(str(refused.value))
+    out, said = hand_over(work, "flange", leave=True, a_script=SCRIPT + straight)
+    first, second = out["corrected.script"].splitlines(keepends=True)
+    assert first != SCRIPT
+    assert second == straight
+    assert any(each.startswith("Left as it is: ") and "singular" in each for each in said)
+
+
 def test_targets_that_are_not_reached_are_said_first(calibrated):
     said = hand_over(page_of(calibrated), "tip", a_csv=TARGETS.replace("high,0", "high,999"))[1]
     assert "1 of 2 targets not reached" in said[0]
@@ -965,7 +978,7 @@ def test_a_correction_that_gains_nothing_is_warned_of():
 
 
 def test_words_of_the_terminal_are_named_as_such():
-    for words in ("Name another --out", "run casacal check X", "leave them with --skip-unknown"):
+    for words in ("Name another --out", "run casacal check X", "leave them by --skip-unknown"):
         assert "in a terminal" in for_page(words)
     assert "serve the problem that it writes" in for_page("a gauge block of 100 mm on 'floor' (--block=100)")
     for words in ("End casacal serve", "1 to 3 -- or more", "written by casacal 1.0: compensate x"):

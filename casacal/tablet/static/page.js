@@ -20,9 +20,8 @@ function el(tag, words, attributes = {}) {
 }
 
 async function ask(address, body) {
-  const options = body === undefined ? {} : {
-    method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body),
-  };
+  const headers = { "Content-Type": "application/json" };
+  const options = body === undefined ? {} : { method: "POST", headers, body: JSON.stringify(body) };
   const lost = () => { throw new Error(LOST); };
   const reply = await fetch(address, options).catch(lost), kind = reply.headers.get("Content-Type");
   if (kind !== "application/json") throw new Error((await reply.text().catch(lost)).trim());
@@ -111,7 +110,7 @@ function showPlan(gate) {
   $("plan-notes").replaceChildren(...gate.notes.map((words) => el("li", words)));
   $("planned").replaceChildren(...gate.touches.map((each) => {
     const look = el("button", "Show", { type: "button", "aria-label": `Show touch ${each.number}` });
-    look.addEventListener("click", () => { touch = each.number; showSpace("plan"); });
+    look.addEventListener("click", () => { touch = each.number; showSpace("plan"); $("view").scrollIntoView({ block: "nearest" }); });
     return el("tr", [el("td", each.number), el("td", each.where), el("td", each.purpose), el("td", [look])]);
   }));
   $("plan").querySelector(".scroll").hidden = gate.touches.length === 0;
@@ -135,7 +134,7 @@ function showMeasure(gate) {
   $("again").hidden = !gate.doubled;
   $("skip").hidden = next === null;
   const asked = next === null ? "" : `${next.number} ${next.joints}`;
-  if (askedFor !== null && asked !== askedFor) $("reading").value = "";  // it was typed for another touch
+  if (askedFor !== null && asked !== askedFor) $("reading").value = $("stood").value = "";  // typed for another touch
   askedFor = asked;
   $("undo").hidden = gate.made === 0 || gate.doubt !== null;
   $("help").textContent = gate.help;
@@ -183,8 +182,7 @@ function progress(gate) {
     ? `${made}; ${gate.distrust || "nothing is known of the tip error yet"}.`
     : `${made}: a tip error of ${gate.error} mm is expected, below ${gate.below} mm 19 times of 20, if the priors and the model are right.`)];
   const points = gate.curve.filter(([, error]) => error > 0);
-  if (points.length > 1) told.push(curve(points, gate.tolerance));
-  return told;
+  return points.length > 1 ? [...told, curve(points, gate.tolerance)] : told;
 }
 
 function curve(points, tolerance) {
@@ -271,14 +269,16 @@ function submitted(form, send) {
     send();
   });
 }
-submitted("reading-form", async () => {
-  const line = $("reading").value;
+const entered = (field) => async () => {
+  const line = $(field).value;
   if (!line.trim() && state.gates.measure.reads.length) return;
   const found = await step("enter", { line });
-  if (found !== null && !state.gates.measure.failed) $("reading").value = "";
-  $("reading").focus();
-  $("reading").select();
-});
+  if (found !== null && !state.gates.measure.failed) $(field).value = "";
+  $(field).focus();
+  $(field).select();
+};
+submitted("reading-form", entered("reading"));
+submitted("elsewhere", entered("stood"));
 submitted("going-on", () => step("go_on", { tolerance: $("wanted").value }));
 submitted("planning", () => step("plan", { touches: $("touches").value, tolerance: $("plan-tolerance").value }));
 submitted("pendant", () => step("conventions", { form: $("form").value, rows: $("rows").value }));
@@ -292,7 +292,7 @@ submitted("correction", async () => {
     for (const byte of bytes) letters += String.fromCharCode(byte);
     return { name: file.name, data: btoa(letters) };
   }));
-  const found = await step("correct", { files, frame: $("frame").value });
+  const found = await step("correct", { files, frame: $("frame").value, leave: $("leave").checked });
   if (found === null) return;
   const made = found.files.map(({ name, data }) => {
     const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
