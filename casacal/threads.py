@@ -65,8 +65,9 @@ def shared_out(task: Callable[[Item], Made], items: Iterable[Item], threads: int
         work()
     finally:  # whatever happened, no thread goes on with what the caller may change
         remaining.clear()
-        wait(others)
-    for other in others:
+        begun = [other for other in others if not other.cancel()]  # what has not begun may wait for this very thread
+        wait(begun)
+    for other in begun:
         other.result()
     return [made[k] for k in range(len(waiting))]
 
@@ -74,3 +75,7 @@ def shared_out(task: Callable[[Item], Made], items: Iterable[Item], threads: int
 @functools.cache
 def _pool(workers: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(workers, thread_name_prefix="casacal")
+
+
+if hasattr(os, "register_at_fork"):  # a process that is forked has the pools, and none of their threads
+    os.register_at_fork(after_in_child=_pool.cache_clear)

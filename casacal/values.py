@@ -73,7 +73,8 @@ class Value:
             return True
         if type(self) is not type(other):
             return NotImplemented
-        return all(alike(one, two) for one, two in zip(_state(self).values(), _state(other).values(), strict=True))
+        compared = (field.name for field in dataclasses.fields(self) if field.compare)  # type: ignore[arg-type]
+        return all(alike(getattr(self, name), getattr(other, name)) for name in compared)
 
     def __hash__(self) -> int:
         raise TypeError(f"a {type(self).__name__} holds arrays, so it has no hash")
@@ -106,7 +107,12 @@ def frozen(item: Any) -> Any:
 def read_only(values: Any) -> Any:
     """A read-only array with the same numbers: the array itself where nobody can write to it, else a copy."""
     array = np.asarray(values)
-    if array.flags.writeable:
+    owner: Any = array
+    while (
+        isinstance(owner, np.ndarray) and not owner.flags.writeable
+    ):  # a view that is not writable may have one that is
+        owner = owner.base
+    if owner is not None and not isinstance(owner, bytes):
         array = array.copy()
         array.setflags(write=False)
     return array
@@ -150,9 +156,12 @@ def is_real(value: object) -> bool:
 
 def as_given(value: object) -> str:
     """A value in a refusal: a number as it is, anything else by its type."""
-    return f"{value:g}" if is_real(value) else came(value)
+    return f"{value:g}" if is_finite(value) else came(value)
 
 
 def is_finite(value: object) -> bool:
     """Whether something is one real number, and neither infinite nor not a number."""
-    return is_real(value) and math.isfinite(value)  # type: ignore[arg-type]
+    try:
+        return is_real(value) and math.isfinite(value)  # type: ignore[arg-type]
+    except OverflowError:  # a whole number of Python's beyond them all
+        return False

@@ -2,7 +2,10 @@
 
 import functools
 import json
+import os
+import signal
 import time
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 
@@ -172,3 +175,25 @@ def test_many_calibrations_on_eight_threads(hsr, backend):
 def test_threads_that_are_asked_for_count_more_than_the_environment(monkeypatch):
     monkeypatch.setenv("CASACAL_THREADS", "2")
     assert thread_count(3) == 3
+
+
+def test_a_process_that_is_forked_shares_out_as_well():
+    """Its pools have no threads: these stay with the process that began them."""
+    assert shared_out(str, range(6), 2) == [*"012345"]
+    if not hasattr(os, "fork"):
+        pytest.skip("nothing forks here")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of threads that are left behind, which is what is tried
+        child = os.fork()
+    if child == 0:
+        signal.alarm(20)  # ends a child that waits for ever
+        os._exit(0 if shared_out(str, range(6), 2) == [*"012345"] else 1)
+    assert os.waitpid(child, 0)[1] == 0
+
+
+def test_a_task_may_share_out_its_own():
+    def task(k):
+        return sum(shared_out(lambda j: 10 * k + j, range(3), 2))
+
+    with ThreadPoolExecutor(1) as alone:
+        assert alone.submit(shared_out, task, range(4), 2).result(timeout=60) == [3, 33, 63, 93]

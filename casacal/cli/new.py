@@ -58,8 +58,8 @@ def run(options: argparse.Namespace) -> int:
     tool = None if options.tool is None else _triple(options.tool)
     plates = tuple(map(_plate, options.plate))
     boxes = tuple(box_of(text, option="--keep-out") for text in options.keep_out)
-    known = {name: getattr(options, name) for name in ("travel", "noise", "accuracy", "block", "table")}
-    answers = Answers(tool=tool, sign=sign, plates=plates, keep_out=boxes, **known)
+    stated = {name: getattr(options, name) for name in ("travel", "noise", "accuracy", "block", "table")}
+    answers = Answers(tool=tool, sign=sign, plates=plates, keep_out=boxes, **stated)
     if not plates and (boxes or options.block is not None or options.table is not None):
         answers = _with_proposed_plates(answers, options)
     missing = list(answers.missing)

@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
     robot, rows = result.source.problem.robot, joints.joints
     said = unit_notes(robot, rows)
     lower, upper = robot.limits
-    beyond = ((lower - rows > ROUNDED) | (rows - upper > ROUNDED)).any(axis=1).nonzero()[0].tolist()
+    beyond = [i for i, q in enumerate(rows) if (lower - q > ROUNDED).any() or (q - upper > ROUNDED).any()]
     if beyond:
         where = f"{len(beyond)} of {counted(len(rows), 'posture')} outside the joint limits, the first in line"
         said.append(f"warning: {where} {joints.lines[beyond[0]]}: are unit and zeros those of the problem?")

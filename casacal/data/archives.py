@@ -213,7 +213,7 @@ def _first_sheet(book: Any, file: str) -> tuple[str, NumberedRows, NumberedRows]
     if len(book.sheetnames) > 1:
         file = f"{file}, sheet '{UNSHOWN.sub('?', sheet.title)[:40]}'"
     with book._archive.open(sheet._worksheet_path) as stream:  # the library passes over what it does not show
-        hidden = _hidden_rows(stream, file)
+        hidden, uncalculated = _odd_rows(stream, file)
     sheet.reset_dimensions()  # they may be wrong
     rows, comments, places = NumberedRows(), NumberedRows(), 0
     for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
@@ -224,6 +224,9 @@ def _first_sheet(book: Any, file: str) -> tuple[str, NumberedRows, NumberedRows]
         cells = [text_of_cell(cell) for cell in row]
         while cells and not cells[-1]:
             cells.pop()
+        if not cells and number in uncalculated:
+            what, fix = "the row holds formulas without results", "Open it in a spreadsheet and save it, or save as CSV"
+            raise SamplesError(file, what, fix, line=number)
         if not cells:
             continue
         if cells[0].startswith("#") and cells[0] not in ERRORS:
@@ -239,27 +242,38 @@ def _first_sheet(book: Any, file: str) -> tuple[str, NumberedRows, NumberedRows]
     return file, rows, comments
 
 
-def _hidden_rows(stream: Any, file: str) -> set[int]:
-    """Numbers of the rows that a sheet hides; raises SamplesError where its rows are not in their order."""
-    hidden, last, depth = set(), 0, 0
+def _odd_rows(stream: Any, file: str) -> tuple[set[int], set[int]]:
+    """Rows that a sheet hides, and rows with formulas that are no text; SamplesError where they are not in order."""
+    hidden, formulas, last, depth, kind = set[int](), set[int](), 0, 0, ""
     for event, element in ElementTree.iterparse(stream, ("start", "end")):
         depth += 1 if event == "start" else -1
         if event == "end":
             element.clear()
-        elif element.tag.rpartition("}")[2] == "row" and depth == 3:
+            continue
+        name = element.tag.rpartition("}")[2]
+        if name == "c" and depth == 4:
+            kind = element.get("t", "")
+        elif name == "f" and depth == 5 and kind != "str":  # one of text may well say nothing
+            formulas.add(last)
+        elif name == "row" and depth == 3:
             number = int(element.get("r", last + 1))
             if not last < number <= MOST_ROWS:
                 raise SamplesError(file, "the rows are out of order", "Save it again, or as CSV", line=number)
             last = number
             if element.get("hidden", "0").strip() not in ("0", "false"):
                 hidden.add(number)
-    return hidden
+    return hidden, formulas
 
 
 def text_of_cell(cell: Any) -> str:
     """A cell as one would type it; "" for a missing one (None, or the NaN, NaT and NA of pandas)."""
     if cell is None:
         return ""
+    if isinstance(cell, bytes):
+        try:
+            cell = cell.decode()
+        except UnicodeDecodeError:
+            raise CasacalError(f"A cell holds {cell[:20]!r}, which is no text of UTF-8", "Store text") from None
     if isinstance(cell, (float, np.floating)):
         cell = float(cell)
         return "" if cell != cell else str(int(cell)) if cell.is_integer() and abs(cell) < 1e15 else repr(cell)

@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeAlias, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.errors import SamplesError
+from casacal.errors import CasacalError, SamplesError, came
 from casacal.values import Array, Index
 
 Codes: TypeAlias = NDArray[np.int32]
@@ -99,6 +99,17 @@ class Labels(Sequence[str]):
 
     def __array__(self, dtype: Any = None, copy: Any = None) -> Any:
         return np.array(self.names, dtype=dtype)[self.codes]
+
+
+def row_numbers(rows: Any, count: int) -> Index:
+    """Numbers of some of `count` rows, from numbers or from a mask of them; raises CasacalError for others."""
+    index = np.asarray(rows)
+    if index.dtype == bool and index.shape == (count,):
+        return np.flatnonzero(index)
+    if index.ndim != 1 or (index.size and index.dtype.kind not in "iu"):
+        what = f"Got {came(rows)} of {index.dtype} as numbers of rows"
+        raise CasacalError(what, f"Give whole numbers below {count}, or a mask of {count}")
+    return index.astype(np.intp, copy=False)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ from casacal.data.columns import Labels, combinations
 from casacal.data.samples import Measurements, Samples
 from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.linalg import svd
-from casacal.values import Array, Index, Rows
+from casacal.values import Array, Index, Rows, is_real
+from casacal.wording import counted
 
 WAYS = ("rows", "region", "face")  # units that are held out whole, apart from values of a column
 
@@ -29,7 +30,7 @@ def split(
     if not isinstance(seed, (int, np.integer)) or seed < 0:
         raise CasacalError(f"The seed is {seed!r}", "Give a whole number from zero on")
     part = "Give a fraction from 0 to below 1, such as 0.3"
-    if not isinstance(holdout, (int, float)):
+    if not is_real(holdout):
         raise CasacalError(f"Got {came(holdout)} as the held-out part", part)
     if not 0 <= holdout < 1:
         raise CasacalError(f"The held-out part is {holdout:g}", part)
@@ -66,20 +67,23 @@ def split_each(
 def _of_each_label(samples: Samples, holdout: float, rng: np.random.Generator, *, near: bool) -> Rows:
     """The given part of each label's rows (N,): at random, or those nearest to one of them, itself among them."""
     distinct, codes = combinations(list(samples.labels.values()), len(samples))
-    mask = np.zeros(len(samples), dtype=bool)
+    mask, wanted = np.zeros(len(samples), dtype=bool), 0.0
     for k, labels in enumerate(distinct):
         rows = np.flatnonzero(codes == k)
+        wanted += holdout * len(rows)  # of the labels so far: what one rounds away the next makes good
         order = rng.permutation(rows)
         if near:
             joints = samples.joints[rows]
             spread = joints.std(axis=0)  # each joint in units of its own
             away = (joints - samples.joints[order[0]]) / np.where(spread > 0, spread, 1.0)
             order = rows[np.argsort((away**2).sum(axis=1), kind="stable")]
-        chosen = order[: round(holdout * len(rows))]
-        if len(chosen) == len(rows):
+        if round(holdout * len(rows)) == len(rows):
             shown = " ".join(labels) or "all rows"
             raise CasacalError(f"Holding out {holdout:g} leaves no row of '{shown}' to fit", "Hold fewer rows out")
-        mask[chosen] = True
+        mask[order[: min(max(round(wanted) - int(mask.sum()), 0), len(rows) - 1)]] = True
+    if holdout and not mask.any():
+        what = f"Holding out {holdout:g} of {counted(len(samples), 'row')} holds none out"
+        raise CasacalError(what, "Hold more out, or take more rows of each label")
     return mask
 
 

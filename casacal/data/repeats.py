@@ -54,8 +54,8 @@ def copies_of(samples: Samples) -> Rows:
     told = _numbers_of(samples).values()
     numbers = [np.asarray(values) + 0.0 for values in (*samples.joints.T, *samples.columns.values(), *told)]  # no -0.0
     codes = [labels.codes for labels in samples.labels.values()]
-    if "purpose" in samples.extra:
-        codes.append(np.array([cell == "again" for cell in samples.extra["purpose"]], dtype=np.intp))
+    purposes = samples.extra.get("purpose", ("",) * len(samples))
+    repeated = np.array([cell == "again" for cell in purposes], dtype=bool)
     bits = [*(values.view(np.int64) for values in numbers), *(code.astype(np.int64) for code in codes)]
     _, first, groups = np.unique(_keys(len(samples), bits), return_index=True, return_inverse=True)
     earlier = first[groups.ravel()]
@@ -63,7 +63,7 @@ def copies_of(samples: Samples) -> Rows:
     columns: list[NDArray[Any]] = [*numbers, *codes]
     for values in columns:
         again &= values == values[earlier]
-    return np.asarray(again)
+    return np.asarray(again & ~repeated)
 
 
 RECORDED, AT_REST = 8, 3e-4  # lines in a row that only a recorder writes at a standstill; noise of its joints (rad, mm)

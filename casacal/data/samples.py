@@ -20,8 +20,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.data.columns import MANY_ROWS, Columns, Dimension, Labels
-from casacal.data.text import UNSHOWN, Table, read_table
+from casacal.data.columns import MANY_ROWS, Columns, Dimension, Labels, row_numbers
+from casacal.data.text import UNSHOWN, Table, check_names, read_table
 from casacal.errors import CasacalError, SamplesError, came
 from casacal.files import recover, write_text
 from casacal.values import EMPTY, Array, FrozenMapping, Index, Value, read_only, short
@@ -237,8 +237,8 @@ class Samples(Value):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", read_only(self.joints))
-        if self.came is not None and self.came.shape != self.joints.shape:
-            object.__setattr__(self, "came", None)
+        came = None if self.came is None or self.came.shape != self.joints.shape else read_only(self.came)
+        object.__setattr__(self, "came", came)
         columns, labels = self.columns.items(), self.labels.items()
         object.__setattr__(self, "columns", FrozenMapping({name: read_only(values) for name, values in columns}))
         object.__setattr__(self, "labels", FrozenMapping({name: Labels.of(values) for name, values in labels}))
@@ -287,16 +287,16 @@ class Samples(Value):
 
     def take(self, rows: Sequence[int] | Index) -> Samples:
         """Return the given rows, in the given order, with the same provenance."""
-        index, lines = np.asarray(rows, dtype=np.intp), self.lines
+        index, lines = row_numbers(rows, len(self)), self.lines
         if len(index) < MANY_ROWS:
             kept: Sequence[int] = tuple(int(lines[k]) for k in index.tolist())
         else:
             known = np.arange(lines.start, lines.stop, lines.step) if isinstance(lines, range) else np.asarray(lines)
-            kept = cast(Sequence[int], known[index])
+            kept = cast(Sequence[int], read_only(known[index]))
         columns = {name: values[index] for name, values in self.columns.items()}
         labels = {name: values.take(index) for name, values in self.labels.items()}
         extra = taken_from(self.extra, index)
-        came = self.ways[index] if self.came is not None or len(index) < len(self) else None
+        came = None if self.came is None and np.array_equal(index, np.arange(len(self))) else self.ways[index]
         return Samples(self.joints[index], columns, labels, kept, extra, self.file, self.sha256, came)
 
     @staticmethod
@@ -366,7 +366,14 @@ class Samples(Value):
             if np.ma.is_masked(values):
                 row = int(np.flatnonzero(np.ma.getmaskarray(values))[0]) + 1
                 raise SamplesError(source, "the value is masked", "Leave the row out", line=row, column=str(name))
-        columns = {str(name): np.asarray(values) for name, values in arrays.items()}
+        columns = dict[str, NDArray[Any]]()
+        check_names(map(str, arrays), source)
+        for name, values in arrays.items():
+            try:
+                columns[str(name)] = np.asarray(values)
+            except ValueError:
+                what, fix = "the rows of the column differ in length", "Give one value per row"
+                raise SamplesError(source, what, fix, column=str(name)) from None
         for name, values in columns.items():
             if values.dtype == object:
                 columns[name] = np.array([text_of_cell(each) for each in values.ravel()]).reshape(values.shape)
@@ -411,10 +418,11 @@ class Samples(Value):
             place.setflags(write=False)
             return place
 
-        joints = np.empty((len(layout.joints), count)).T  # column by column in memory, as they come and as they go
+        joints = np.empty((len(layout.joints), count))  # column by column in memory, as they come and as they go
         for i in range(len(layout.joints)):
-            fill(f"q{i + 1}", joints[:, i])
+            fill(f"q{i + 1}", joints[i])
         joints.setflags(write=False)
+        joints = joints.T
         own = {name: fill(name, np.empty(count)) for name in layout.columns}
         labels = {name: _labels(columns, name) for name in layout.labels}
         used = {column for column, _ in found.values()} | set(layout.labels)
@@ -439,7 +447,7 @@ def joined(first: Samples, second: Samples) -> Samples:
         for name, labels in first.labels.items()
     }
     joints, lines = np.vstack([first.joints, second.joints]), (*first.lines, *second.lines)
-    return Samples(joints, columns, labels, lines, {}, first.file, first.sha256)
+    return Samples(joints, columns, labels, lines, {}, first.file, first.sha256, np.vstack([first.ways, second.ways]))
 
 
 WRITTEN = FrozenMapping({"angle": ("_deg", 180 / math.pi, 7), "length": ("_mm", 1.0, 4), "number": ("", 1.0, 9)})
@@ -561,7 +569,7 @@ class Measurements(Value):
 
     def take(self, rows: Sequence[int] | Index) -> Measurements:
         """Some rows, those of each instrument in the order in which they are named."""
-        apart = self.apart(np.asarray(rows, dtype=np.intp))
+        apart = self.apart(row_numbers(rows, len(self)))
         return Measurements(self.names, tuple(map(Samples.take, self.sets, apart)))
 
     def apart(self, rows: Index) -> list[Index]:

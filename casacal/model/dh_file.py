@@ -161,7 +161,7 @@ def quarter_turns(value: float) -> float:
     turns = round(value / (math.pi / 2))
     digits = len(f"{value!r}".partition(".")[2])
     meant = turns * math.pi / 2
-    return meant if 3 <= digits < 17 and abs(value - meant) <= 0.5001 * 10.0**-digits else value
+    return meant if turns and 3 <= digits < 17 and abs(value - meant) <= 0.5001 * 10.0**-digits else value
 
 
 def joint_of(row: Row, where: str, number: int) -> Joint:
@@ -238,7 +238,7 @@ def dh_file_text(table: DHTable, path: str | Path) -> str:
             numbers = (f"{key} = {value}" for key, value in row.items() if key not in ("joint", "kind"))
             lines += ["", "[[joint]]", f'kind = "{row["kind"]}"', *numbers]
         return "\n".join(lines) + "\n"
-    lines = [f"# name: {table.name}", f"# convention: {table.convention}"]
+    lines = [f"# name: {' '.join(table.name.split()).rstrip(',;')}", f"# convention: {table.convention}"]
     if table.parallel:
         lines.append(f"# parallel: {', '.join(map(str, table.parallel))}")
     if table.conventions is not None:
@@ -270,10 +270,10 @@ def read_csv(path: str | Path) -> tuple[dict[str, Any], FileRows]:
             if text:
                 row[name] = text if name in ("kind", "note") else _number(text, f"{where}, '{name}'")
         rows.append((where, row))
-    return _block(decode(Path(path).read_bytes(), table.file), table.file), rows
+    return _block(decode(Path(path).read_bytes(), table.file), table.file, table.decimal_comma), rows
 
 
-def _block(text: str, file: str) -> dict[str, Any]:
+def _block(text: str, file: str, decimal_comma: bool) -> dict[str, Any]:
     """Known keys of the comments; other comments stay comments, but a key that is nearly a known one is refused."""
     block: dict[str, Any] = {}
     for number, line in enumerate(LINE_END.split(text), 1):
@@ -290,6 +290,8 @@ def _block(text: str, file: str) -> dict[str, Any]:
         if key in block:
             raise ProblemError(f"{where}: '{key}' comes a second time", "Leave one of them")
         block[key] = value
+        if decimal_comma and key in (*OFFSETS, "coupling"):
+            value = re.sub(r"(?<=\d),(?=\d)", ".", value)
         if key == "coupling":  # 'i j factor' between semicolons
             block[key] = [_numbers(entry, where) for entry in value.split(";") if entry.strip()]
         elif key not in ("name", "convention"):

@@ -247,10 +247,10 @@ class DialOnPlane(Instrument):
         """True extension of the tip along the plunger, mm: sign * reading, corrected by the dial's gain and cycle."""
         way = shown = getattr(row, "reading", 0.0)
         if self.gain is not None:
-            way += shown * p.gain / 100
+            way = way + shown * p.gain / 100  # not in place: a row of numbers is the caller's
         if self.cycle is not None:
             angle = 2 * math.pi * shown / self.turn
-            way += (p.cycle[0] * ca.cos(angle) + p.cycle[1] * ca.sin(angle)) / 1000
+            way = way + (p.cycle[0] * ca.cos(angle) + p.cycle[1] * ca.sin(angle)) / 1000
         return self.sign * way
 
     def shifted(self, normal: Expression, pose: Expression, p: Any) -> Expression:

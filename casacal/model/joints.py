@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from casacal.errors import ProblemError
-from casacal.values import Array, is_real
+from casacal.values import Array, as_given, is_finite, is_real
 
 MOST_JOINTS = 100
 MOST_TURNED = 8 * math.pi  # limits of a joint beyond it, in rad, were given in degrees
@@ -39,7 +39,10 @@ class Joint:
     def __post_init__(self) -> None:
         if self.kind not in ("revolute", "prismatic"):
             raise ProblemError(f"A joint is '{self.kind}'", "Joints are 'revolute' or 'prismatic'")
-        if not self.lower < self.upper or not math.isfinite(self.upper - self.lower):
+        if not (is_finite(self.lower) and is_finite(self.upper)):
+            what = f"A joint has the limits {as_given(self.lower)} to {as_given(self.upper)}"
+            raise ProblemError(what, "Give finite limits, lower below upper")
+        if not self.lower < self.upper:
             fix = "Give finite limits, lower below upper"
             factor, unit = (math.degrees(1), "degrees") if self.turns else (1.0, "mm")
             what = f"A joint has the limits {self.lower * factor:g} to {self.upper * factor:g} {unit}"
@@ -88,13 +91,15 @@ class Conventions:
             raise ProblemError(f"The joint signs are {self.signs}", "Use 1 or -1 for each joint")
         if not self.offsets:
             object.__setattr__(self, "offsets", (0.0,) * joints)
-        if len(self.offsets) != joints or not all(math.isfinite(offset) for offset in self.offsets):
+        if len(self.offsets) != joints or not all(map(is_finite, self.offsets)):
             fix = "Give one finite offset for each joint"
             raise ProblemError(f"Got {len(self.offsets)} joint offsets for {joints} signs", fix)
-        for i, j, factor in self.coupling:
-            if not (1 <= i <= joints and 1 <= j <= joints) or i == j or not math.isfinite(factor):
+        for each in self.coupling:
+            two = set(each[:2]) if isinstance(each, (tuple, list)) and len(each) == 3 else set()
+            whole = all(isinstance(k, (int, np.integer)) and 1 <= k <= joints for k in two)
+            if not whole or len(two) < 2 or not is_finite(each[2]):
                 fix = f"Give two different joints of 1 to {joints} and a factor"
-                raise ProblemError(f"A coupling is ({i}, {j}, {factor})", fix)
+                raise ProblemError(f"A coupling is {each}", fix)
         if abs(np.linalg.det(self.matrix)) < 1e-9:
             raise ProblemError(f"The coupling {self.coupling} makes joints depend on one another", "Leave one out")
 

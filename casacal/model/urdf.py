@@ -115,6 +115,8 @@ def read_urdf(path: str | Path) -> UrdfFile:
         raise ProblemError(f"{file}: there is no such file", "Check the path of the URDF") from None
     except OSError as error:
         raise ProblemError(f"{file}: cannot be read ({error.strerror})", "Give a readable URDF") from None
+    except ValueError:
+        raise ProblemError(f"{file!r} is no path", "Give the path of a URDF") from None
     found = UrdfFile(file)
     try:
         found.parser.Parse(data, True)
@@ -401,6 +403,8 @@ def weights_of(
         if kg < 0:
             raise ProblemError(f"{path}: the mass of link '{name}' is {kg:g}", "Give kilograms, zero or more")
         weighs.append((name, kg, place * MM))
+    if payload and not chain:
+        raise ProblemError(f"{path}: base and tip are one link, which carries nothing", "Name two links")
     if payload:
         weighs.append((chain[-1].child, payload, np.zeros(3)))
     masses, moments = np.zeros(len(moving)), np.zeros((len(moving), 3))

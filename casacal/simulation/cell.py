@@ -13,7 +13,7 @@ from casacal.errors import SimulationError, came
 from casacal.model.instrument import Travel, readings_within
 from casacal.model.problem_file import Surroundings
 from casacal.model.unknown import tangent_basis, unit_vector
-from casacal.values import Array, Box, Index, plain
+from casacal.values import Array, Box, Index, is_finite, is_real, plain
 
 UNBOUNDED = "repeatability resolution joint_std backlash flatness compliance hysteresis drift error_scale"
 AMOUNTS = dict.fromkeys(UNBOUNDED.split(), math.inf) | {
@@ -70,10 +70,12 @@ class Disturbances:
         if not self.table < math.inf:
             raise SimulationError(f"table of the cell is {self.table!r}", "Give its height in mm, or -inf for none")
         for name, most in AMOUNTS.items():
-            value = getattr(self, name, None)
-            if value is not None and not 0 <= value < math.inf:
+            value = getattr(self, name, 0.0)
+            if value is None and name == "repeatability":
+                continue
+            if not is_finite(value) or value < 0:
                 raise SimulationError(f"{name} of the cell is {value!r}", "Give zero or a positive number")
-            if value is not None and value > most:
+            if value > most:
                 raise SimulationError(f"{name} of the cell is {value:g}", f"Give at most {most:g}")
 
     @property
@@ -87,7 +89,7 @@ def _waves(stated: Mapping[int, float] | Sequence[tuple[int, float]]) -> tuple[t
     pairs = stated.items() if isinstance(stated, Mapping) else stated
     try:
         waves = [(order, float(amplitude)) for order, amplitude in pairs]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise SimulationError(
             f"Got {came(stated)} as gear_waves", "Give {order: amplitude in rad}, such as {1: 1e-4}"
         ) from None
@@ -114,6 +116,14 @@ class Face:
     centre: tuple[float, float, float]
     normal: tuple[float, float, float]
     size: tuple[float, float] = (600.0, 600.0)
+
+    def __post_init__(self) -> None:
+        for name, count in (("centre", 3), ("normal", 3), ("size", 2)):
+            given = plain(getattr(self, name))
+            if not isinstance(given, tuple) or len(given) != count or not all(map(is_finite, given)):
+                what = f"Face '{self.label}' has the {name} {given!r}"
+                raise SimulationError(what, f"Give {count} finite numbers of mm")
+            object.__setattr__(self, name, given)
 
     @property
     def axes(self) -> Array:
@@ -173,6 +183,9 @@ class Cell(Disturbances, Surroundings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if not isinstance(self.faces, (tuple, list)) or not all(isinstance(face, Face) for face in self.faces):
+            raise SimulationError(f"Got {came(self.faces)} as the faces of the cell", "Give a tuple of Face")
+        object.__setattr__(self, "faces", tuple(self.faces))
         if not self.faces:
             raise SimulationError("The cell has no face", "Give at least one")
         if len({face.label for face in self.faces}) < len(self.faces):
@@ -186,8 +199,9 @@ class Cell(Disturbances, Surroundings):
         if not -math.inf < low <= high < math.inf:
             fix = "Give zero or a positive number, or the smallest and the largest reading"
             raise SimulationError(f"travel of the cell is {self.travel!r}", fix)
-        if not 0 <= self.tilt < math.pi / 2:
-            raise SimulationError(f"The tilt is {math.degrees(self.tilt):g} degrees", "Give 0 to less than 90")
+        if not (is_finite(self.tilt) and 0 <= self.tilt < math.pi / 2):
+            said = f"{math.degrees(self.tilt):g} degrees" if is_real(self.tilt) else repr(self.tilt)
+            raise SimulationError(f"The tilt is {said}", "Give 0 to less than 90 degrees, in rad")
         if isinstance(self.repeats, bool) or not isinstance(self.repeats, (int, np.integer)) or self.repeats < 1:
             raise SimulationError(f"Each place is touched {self.repeats!r} times", "Give a whole number from one on")
         if self.approach not in APPROACHES:

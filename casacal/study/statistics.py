@@ -79,6 +79,8 @@ def holm(p_values: Mapping[str, float]) -> dict[str, float]:
 
 def success_rate(successes: int, trials: int) -> Interval:
     """Fraction of trials that succeeded, with the exact 95 % interval of Clopper and Pearson (1934)."""
+    if not trials:
+        return Interval(math.nan, math.nan, math.nan)
     exact = binomtest(successes, trials).proportion_ci(method="exact")
     return Interval(successes / trials, float(exact.low), float(exact.high))
 

@@ -10,7 +10,9 @@ from conftest import ROOT
 from casacal import CasacalError, calibrate, simulate, verify
 from casacal.calibration.summary import summary
 from casacal.cli.main import main
+from casacal.data.columns import Labels
 from casacal.data.holdout import split
+from casacal.data.samples import Samples
 from casacal.errors import UnknownNameError
 from casacal.kernels.losses import huber
 
@@ -160,3 +162,23 @@ def test_rows_that_a_loss_ignored_do_not_count(hsr, rows):
     assert plain.p < 1e-6
     assert robust.p > 1e-3
     assert robust.freedom == plain.freedom - 1
+
+
+def test_the_part_that_was_asked_for_is_held_out_of_many_small_faces():
+    """Rounding each of them by itself held nothing out, or twice too much; each keeps a row to fit."""
+    labels = Labels.of([f"face {k // 5}" for k in range(120)])
+    joints = np.random.default_rng(1).normal(size=(120, 2))
+    samples = dataclasses.replace(Samples.of_joints(joints), labels={"plane": labels})
+    for part in (0.02, 0.1, 0.3, 0.5, 0.7, 0.78):
+        for by in ("rows", "region"):
+            fitted, held = split(samples, part, 3, by)
+            assert abs(len(held) - part * 120) <= 1, (part, by)
+            counts = np.bincount(labels.codes[held], minlength=24)
+            assert set(np.bincount(labels.codes[fitted], minlength=24)) <= {1, 2, 3, 4, 5}
+            assert np.ptp(counts) <= 1, "no face gives much more than its part"
+    single = dataclasses.replace(samples, labels={"plane": Labels.of(map(str, range(120)))})
+    for one, part in ((single, 0.3), (samples.take(range(3)), 0.1)):
+        with pytest.raises(CasacalError, match="holds none out"):
+            split(one, part, 0)
+    with pytest.raises(CasacalError, match="leaves no row"):
+        split(samples, 0.95, 0)

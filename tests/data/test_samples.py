@@ -9,7 +9,8 @@ import pytest
 from conftest import ROOT
 
 from casacal import calibrate, load_problem
-from casacal.data.samples import Layout, Samples, write_samples
+from casacal.data.repeats import copies_of
+from casacal.data.samples import Layout, Samples, joined, write_samples
 from casacal.errors import CasacalError, SamplesError
 
 LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",), {"force": "no force is measured"})
@@ -242,3 +243,90 @@ def test_headings_of_other_software_are_named_all_at_once(heading, right, tmp_pa
         assert f"'{heading.format(k)}' to {right.format(k)}" in str(caught.value)
     assert "'X [mm]' to x_mm, 'Y(mm)' to y_mm" in str(caught.value)
     assert "z_mm" not in str(caught.value)
+
+
+FURTHER = Layout(("angle",), {"reading": "length"}, (), further=("load",))
+ARRAYS = {"q1_deg": np.array([10.0, 20, 30]), "reading_mm": np.array([1.0, 2, 3]), "load": np.array([7.0, 8, 9])}
+
+
+def test_what_was_read_stays_whatever_becomes_of_its_source(tmp_path):
+    """Neither a frame, nor a view that is read-only, nor a file that is mapped changes samples that were made of it."""
+    frame = pd.DataFrame(ARRAYS)
+    of_frame = Samples.from_frame(frame, FURTHER)
+    frame.loc[1, "load"] = 99.0
+    records = np.zeros(3, dtype=[(name, float) for name in ARRAYS])
+    for name, values in ARRAYS.items():
+        records[name] = values
+    np.save(tmp_path / "s.npy", records)
+    of_file = Samples.from_file(tmp_path / "s.npy", FURTHER)
+    with (tmp_path / "s.npy").open("r+b") as file:
+        file.seek(-72, 2)
+        file.write(np.full(9, -1.0).tobytes())
+    joints = np.array([[0.1], [0.2], [0.3]])
+    view = joints.view()
+    view.setflags(write=False)
+    of_view = Samples.of_joints(view)
+    joints[1] = 5.0
+    for samples in (of_frame, of_file):
+        np.testing.assert_array_equal(samples.extra["load"], ARRAYS["load"])
+        np.testing.assert_allclose(samples.joints[:, 0], np.radians(ARRAYS["q1_deg"]))
+    assert of_view.joints[1, 0] == 0.2
+    for array in (of_file.take([0, 1]).ways, of_file.joints, of_file.extra["load"], of_view.joints):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+
+
+def test_rows_are_taken_by_number_or_by_mask():
+    samples = Samples.from_arrays(ARRAYS, FURTHER)
+    assert tuple(samples.take(np.array([False, True, True])).lines) == (2, 3)
+    assert tuple(samples.take([2, 0]).lines) == (3, 1)
+    assert len(samples.take([])) == 0
+    for wrong in ([0.0, 1.0], np.array([True, False]), [[0, 1]]):
+        with pytest.raises(CasacalError, match="numbers of rows"):
+            samples.take(wrong)
+
+
+def test_each_row_keeps_the_way_it_was_come_to_by():
+    """In whatever order rows are taken, and however often: as of a bootstrap. Equal samples are equal all the same."""
+    samples = Samples.of_joints(np.array([[0.0], [1.0], [2.0], [1.0]]))
+    assert samples.ways.ravel().tolist() == [0, 1, 1, -1]
+    assert samples.take([3, 3, 3, 1]).ways.ravel().tolist() == [-1, -1, -1, 1]
+    assert samples.take([3, 1]).take([1, 0, 1]).ways.ravel().tolist() == [1, -1, 1]
+    other = Samples.of_joints(np.array([[5.0], [4.0], [3.0]]))
+    assert joined(samples, other).ways.ravel().tolist() == [0, 1, 1, -1, 0, -1, -1]
+    again = samples.take([0, 1, 2, 3])
+    assert again == samples
+    assert dataclasses.replace(again, came=again.ways[::-1]) == samples
+
+
+def test_labels_of_bytes_are_their_text():
+    """As files of other libraries hold them, within objects or not."""
+    for kind in ("S8", object):
+        labels = np.array([b"left", "wände".encode(), b"left"], dtype=kind)
+        if kind == "S8":
+            assert labels[1] == "wände".encode()
+        for made in (
+            Samples.from_arrays({**ARRAYS, "plane": labels}, dataclasses.replace(FURTHER, labels=("plane",))),
+            Samples.from_frame(
+                pd.DataFrame({**ARRAYS, "plane": list(labels)}), dataclasses.replace(FURTHER, labels=("plane",))
+            ),
+        ):
+            assert made.labels["plane"] == ("left", "wände", "left")
+    labels = np.array([b"left", b"\xff", b"left"], dtype=object)
+    with pytest.raises(CasacalError, match="UTF-8"):
+        Samples.from_arrays({**ARRAYS, "plane": labels}, dataclasses.replace(FURTHER, labels=("plane",)))
+
+
+def test_arrays_of_no_shape_and_names_of_no_end_are_refused():
+    with pytest.raises(SamplesError, match=r"q1_deg.*differ in length"):
+        Samples.from_arrays({**ARRAYS, "q1_deg": [[1.0], [1.0, 2.0], [3.0]]}, FURTHER)
+    with pytest.raises(SamplesError, match="longer than"):
+        Samples.from_arrays({**ARRAYS, "q" + "1" * 5000: ARRAYS["load"]}, FURTHER)
+
+
+def test_a_touch_that_was_made_again_is_no_copy_however_often():
+    rows = {"q1_deg": [10.0] * 5, "reading_mm": [1.0, 1.0, 1.0, 1.0, 1.0]}
+    samples = Samples.from_arrays(rows, dataclasses.replace(FURTHER, further=()))
+    purposes = ("size", "again", "again", "again", "size")
+    found = copies_of(dataclasses.replace(samples, extra={"purpose": purposes}))
+    assert found.tolist() == [False, False, False, False, True]

@@ -1,6 +1,7 @@
 """Workbooks, and readings in a file of their own, give the samples that one CSV file gives."""
 
 import datetime
+import re
 import sys
 import zipfile
 
@@ -203,3 +204,19 @@ def test_the_command_line_takes_both(hsr, tmp_path, capsys):
     apart = capsys.readouterr().out
     assert main(["calibrate", str(hsr.path), "--method", "lm", "--no-reference"]) == 0
     assert capsys.readouterr().out.splitlines()[-5:] == apart.splitlines()[-5:]
+
+
+def test_rows_of_formulas_without_results_are_not_passed_over(tmp_path):
+    """As a program writes them that does not calculate. Formulas whose text is empty, as below the data, are none."""
+    rows = [["q1_deg", "reading_mm"], [10, 1.5], ["=A2+10", "=B2+1"], [40, 4.5]]
+    layout = Layout(("angle",), {"reading": "length"})
+    file = workbook(tmp_path / "s.xlsx", rows)
+    with pytest.raises(SamplesError, match=r"line 3.*formulas without results"):
+        Samples.from_file(file, layout)
+    with zipfile.ZipFile(file) as archive, zipfile.ZipFile(tmp_path / "t.xlsx", "w") as other:
+        for name in archive.namelist():
+            text = archive.read(name)
+            if name.endswith("sheet1.xml"):
+                text = re.sub(rb'<c r="([AB]3)"><f>', rb'<c r="\1" t="str"><f>', text)
+            other.writestr(name, text)
+    assert Samples.from_file(tmp_path / "t.xlsx", layout).lines == (2, 4)

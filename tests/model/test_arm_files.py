@@ -298,3 +298,40 @@ def test_quarter_turns_in_rad_are_what_they_were_rounded_from(written):
 )
 def test_other_angles_in_rad_stay_as_they_are(written):
     assert quarter_turns(float(written)) == float(written)
+
+
+def test_small_angles_are_no_rounded_quarter_turns(file):
+    for value in (4.5e-06, -3.2e-06, 9.9e-6, 1e-5, 1e-3):
+        assert quarter_turns(value) == value
+    text = "# convention: standard\nalpha_rad,a_mm,d_mm,theta_rad\n4.5e-06,100,0,0\n1.5708,200,0,0\n0,100,0,0\n"
+    assert read_dh_file(file(text, "arm.csv")).alpha == (4.5e-06, math.pi / 2, 0.0)
+
+
+def test_decimal_commas_of_a_table_are_those_of_its_conventions(file):
+    rows = "alpha_deg;a_mm;d_mm;theta_deg\n90,5;100;0;0\n0;200;0;0\n"
+    head = "# convention: standard\n# signs: 1,-1\n"
+    found = read_dh_file(file(f"{head}# offsets_deg: 0,5; 90\n# coupling: 2 1 0,25\n{rows}", "a.csv")).conventions
+    np.testing.assert_allclose(np.degrees(found.offsets), [0.5, 90])
+    assert (found.signs, found.coupling) == ((1, -1), ((2, 1, 0.25),))
+    with pytest.raises(ProblemError, match="offsets_deg has 1 numbers for 2 joints"):
+        read_dh_file(file(f"{head}# offsets_deg: 0,5\n{rows}", "b.csv"))
+
+
+def test_a_name_of_two_lines_is_one_in_a_table_that_is_read_back(file, tmp_path):
+    table = replace(read_dh_file(file(UR5_CSV, "ur5.csv")), name="My\narm;")
+    (tmp_path / "b.csv").write_text(dh_file_text(table, "b.csv"))
+    assert read_dh_file(tmp_path / "b.csv").name == "My arm"
+
+
+def test_numbers_beyond_all_others_and_pairs_for_triples_are_refused():
+    huge = 10**400
+    for make in (
+        lambda: Joint(upper=huge),
+        lambda: Conventions((1, 1), (huge, 0)),
+        lambda: Conventions((1, 1), coupling=((1, 2),)),
+        lambda: Conventions((1, 1), coupling=((1.0, 2.0, 1.0),)),
+        lambda: Conventions((1, 1), coupling=((1, 2, huge),)),
+        lambda: Robot.from_urdf("a\0b.urdf"),
+    ):
+        with pytest.raises(ProblemError):
+            make()

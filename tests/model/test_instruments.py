@@ -3,7 +3,9 @@
 import json
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,12 +14,26 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from casacal import FixedPoint, KnownPoint, Parameter, Problem, Samples, Sockets, bind, check, lm, simulate, tool_point
+from casacal import (
+    DialOnPlane,
+    FixedPoint,
+    KnownPoint,
+    Parameter,
+    Problem,
+    Samples,
+    Sockets,
+    bind,
+    check,
+    lm,
+    simulate,
+    tool_point,
+)
 from casacal.cli.main import main
 from casacal.data.columns import Labels
 from casacal.deployment.as_data import problem_from
 from casacal.errors import ProblemError
 from casacal.model import Sight
+from casacal.model.dial import dial_cycle, dial_gain
 from casacal.model.geometry import rigid_fit
 from casacal.simulation import Disturbances
 from casacal.uncertainty.figures import nees
@@ -323,3 +339,13 @@ def test_a_place_with_one_socket_alone_is_refused():
 def test_declarations_that_cannot_be_are_refused(make, match):
     with pytest.raises(ProblemError, match=match):
         make()
+
+
+def test_the_way_of_a_dial_is_one_formula_for_numbers_and_symbols():
+    dial = DialOnPlane(noise_std=0.01, gain=dial_gain(), cycle=dial_cycle())
+    shown = np.array([1.0, 2.25])
+    for reading in (shown.copy(), ca.DM(shown)):
+        row, p = SimpleNamespace(reading=reading), SimpleNamespace(gain=1.0, cycle=(0.0, 3.0))
+        expected = -(1.01 * shown + 3e-3 * np.sin(2 * np.pi * shown)
+        np.testing.assert_allclose(np.array(dial.reach(p, row)).ravel(), expected, rtol=1e-12)
+        np.testing.assert_array_equal(np.array(row.reading).ravel(), shown)

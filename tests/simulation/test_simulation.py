@@ -398,3 +398,21 @@ def test_an_arm_that_seldom_reaches_a_face_squarely_touches_it_all_the_same():
     assert np.bincount(simulation.samples.labels["plane"].codes).tolist() == [40, 40, 40]
     bound = bind(problem, simulation.samples)
     assert np.abs(bound.residual(simulation.truth(bound))).max() < 5  # standard deviations of the noise
+
+
+def test_what_is_no_cell_is_refused_and_lists_are_taken():
+    face = Face("a", [500, 0, 0], np.array([0.0, 0, 1]), [300, 300])
+    assert Cell(faces=[face]) == Cell(faces=(Face("a", (500, 0, 0), (0, 0, 1), (300, 300)),))
+    assert hash(Cell(faces=[face]))
+    for make in (
+        lambda: Face("a", (500, 0), (0, 0, 1)),
+        lambda: Face("a", (500, 0, math.nan), (0, 0, 1)),
+        lambda: Face("a", (500, 0, 0), (0, 0, 1), 600.0),
+        lambda: Cell(faces=face),
+        lambda: Cell(faces=(face,), flatness="0.1"),
+        lambda: Cell(faces=(face,), tilt=None),
+        lambda: Cell(faces=(face,), backlash=10**400),
+        lambda: Cell(faces=(face,), gear_waves={1: 10**400}),
+    ):
+        with pytest.raises(CasacalError):
+            make()
