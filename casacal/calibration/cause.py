@@ -18,7 +18,16 @@ import numpy as np
 
 from casacal.calibration.before_fit import OUT_OF_LIMITS, OUTSIDE, WRONG_SIGN, outside
 from casacal.calibration.conventions import patterns
-from casacal.calibration.faults import MOST_PAIRED, OfRows, exchanged_labels, hanging, pairings, some_radians, suspected
+from casacal.calibration.faults import (
+    MOST_PAIRED,
+    OfRows,
+    at_an_end,
+    exchanged_labels,
+    hanging,
+    pairings,
+    some_radians,
+    suspected,
+)
 from casacal.calibration.finding import ALIKE, EXPLAINED, SUSPICIOUS, Fault, Finding, Undone, kept_square, misfit
 from casacal.calibration.numbers import TOOL, alike_numbers, tool_keys
 from casacal.calibration.set_aside import robust_fit, studentised_outliers
@@ -126,7 +135,8 @@ def cause_of_rows(problem: Problem, samples: Samples, off: Rows) -> Finding | No
     tail = off.sum() >= FEW_OFF and off[int(np.argmax(off)) :].mean() >= MOSTLY
     nothing = _Attempt((), Undone(problem, samples), math.inf)
     signs = (fault for fault in suspected(problem, samples) if fault.about == WRONG_SIGN)
-    rows = chain(some_radians(problem, samples), hanging(samples), signs) if off.any() else ()
+    alone = some_radians(problem, samples), hanging(samples), at_an_end(problem, samples), signs
+    rows = chain(*alone) if off.any() else ()
     for fault in chain(pairings(samples) if tail else (), rows):
         for tried in map(_fitted, _undone(fault, nothing)):
             fitted = robust_fit(bind(problem, tried.undone.samples))

@@ -11,9 +11,10 @@ from casacal.calibration import before_fit
 from casacal.calibration.agreement import disagreement, not_the_same
 from casacal.calibration.cause import MisfitCause, cause_of_rows, changed_midway, explained, labels_exchanged
 from casacal.calibration.conventions import CONVENTIONS
-from casacal.calibration.faults import MOVED, flips
+from casacal.calibration.faults import MOVED, SLIPPED, flips
 from casacal.calibration.finding import ALIKE, EXPLAINED, SUSPICIOUS, Finding, misfit, quick_fit, size_of
 from casacal.calibration.mirror import DIAL_WAY, either_way, mirror_image
+from casacal.calibration.moved import moved_midway
 from casacal.calibration.numbers import tool_elsewhere_at, tool_keys, without_its_likes, wrong_number, wrong_scale
 from casacal.calibration.set_aside import gross, off_their_face, robust_fit, single_rows, studentised_outliers
 from casacal.data.repeats import without_copies
@@ -157,6 +158,10 @@ def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding
         base = misfit(problem, few)
     gross = float(np.sqrt((some.plain_residual(some.x0) ** 2).mean())) > OF_TWO * scatter
     cause = explained(problem, few, base, gross=gross, whole=samples) if base > SUSPICIOUS else None
+    unsure = cause is None or cause.finding.about in (SLIPPED, MOVED)  # by little, one thing looks like another
+    moved = moved_midway(bind(with_constants(problem), few, backend="blocks")) if unsure else None
+    if moved is not None and not (cause is not None and cause.finding.about == SLIPPED and moved.about[:5] == "joint"):
+        return [moved, *findings]
     midway = changed_midway(problem, few) if base > EXPLAINED and cause is None else None  # more than any arm errs
     if cause is not None and cause.finding.about == MOVED:  # what exchanged labels look like
         midway = labels_exchanged(problem, few, cause.undone.samples)
@@ -241,13 +246,14 @@ def _unexplained(problem: Problem, samples: Samples, base: float, findings: list
         fix = f"Add the column '{column}' with the {what} of each row; if there is only one, check signs and units"
         return Finding("error", "labels absent", cause, fix)
     if known:
-        return Finding("remark", "misfit", f"{cause}, which {', '.join(known)} would explain", "Correct those first")
+        cause = f"{cause}; whether {listed(known)} {'is' if len(known) == 1 else 'are'} the cause was not tried"
+        return Finding("remark", "misfit", cause, "Correct those first, and check again")
     instrument = problem.instrument
     suspected = [name for name in instrument.columns if any(name in each.columns for each in instrument.suspects)]
     untried = len(suspected) < len(instrument.columns)
     tried = [f"wrong sign or unit{f' of {listed(suspected)}' if untried else ''}"] if suspected or not untried else []
     tried += ["swapped joints", "coupling"]
-    tried += ["drift"] if instrument.probe is not None and instrument.probe.column is not None else []
+    tried += ["drift of the readings"] if instrument.probe is not None and instrument.probe.column is not None else []
     tried += ["tool offset"] if tool_keys(problem) else []
     cause = f"{cause}, and no {listed(tried, 'or')} explains it"
     fix = "Check the robot's nominal values and the instrument's noise; "

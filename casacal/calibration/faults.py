@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, combinations, permutations
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from casacal.model.problem_text import conventions_line
 from casacal.values import Array
 from casacal.wording import figures, numbered_lines
 
-MOVED = "something moved"
+MOVED, SLIPPED = "something moved", "joint slipped"
 MOST_SCALE = 0.2  # part by which readings are too large beyond which it is no error of scale
 LITTLE = 0.99  # part of the squares that a step for such a size may leave
 ROUNDS = 4  # Gauss-Newton steps for the size of a fault; all are nearly linear in it
@@ -200,9 +201,40 @@ def hanging(samples: Samples) -> Iterator[Fault]:
         if not still.any() or len(starts) == 1:
             continue
         lines = numbered_lines([samples.lines[k] for k in np.flatnonzero(still).tolist()])
-        cause = f"joint {i + 1} shows one and the same value up to {lines}, as of an encoder or a recorder that hangs"
+        cause = (
+            f"joint {i + 1} shows in {lines} the value of the line before, as of an encoder or a recorder that hangs"
+        )
         kept, fix = np.flatnonzero(~still), "Measure these rows again"
         yield Fault(f"joint {i + 1} stuck", cause, fix, OfRows(partial(Samples.take, rows=kept)), 1, common=False)
+
+
+def at_an_end(problem: Problem, samples: Samples) -> Iterator[Fault]:
+    """Readings of a dial that all are the largest, or the smallest, as where its plunger was at the end of its way."""
+    probe = problem.instrument.probe
+    if probe is None or probe.column is None:
+        return
+    reading = samples.columns[probe.column]
+    shown, counts = np.unique(reading, return_counts=True)
+    for k, which in ((-1, "largest"), (0, "smallest")):
+        if not HANGS <= counts[k] <= len(samples) / 2 or 2 * np.delete(counts, k).max(initial=0) > counts[k]:
+            continue
+        there = reading == shown[k]
+        lines = numbered_lines([samples.lines[row] for row in np.flatnonzero(there).tolist()])
+        cause = f"{lines} all read {shown[k]:g} mm, the {which} of all readings, as of a plunger at the end of its way"
+        undo = OfRows(partial(Samples.take, rows=np.flatnonzero(~there)))
+        yield Fault("end of the travel", cause, "Measure these rows again", undo, 1, common=False)
+
+
+def step_elsewhere(problem: Problem, samples: Samples, *, label: str) -> Undone:
+    """A step whose height is hardly known, and what the rows say of it."""
+    dial: Any = problem.instrument
+    step, key = dial.steps[label], f"step_{[*dial.steps].index(label) + 1}"
+    unsure = replace(dial, steps={**dial.steps, label: replace(step, std=MOST_SCALE * abs(step.height))})
+    freed = problem.with_parts(problem.robot, (unsure,))
+    if (fitted := quick_fit(freed, samples)) is None:
+        return Undone(problem, samples)
+    by = float(fitted[1].x[fitted[0].names.index(key)])
+    return Undone(freed, samples, f": {figures(step.height + by, 5)} mm, not {step.height:g}")
 
 
 def _relabelled(problem: Problem, samples: Samples, place: int) -> Samples | None:
@@ -289,6 +321,10 @@ def _columns_and_joints(problem: Problem) -> Iterator[Fault]:
         for factor, words in ANGLE_UNITS.items():
             cause, fix = f"the joint angles look like {words}", "Correct the unit in the columns' names"
             yield Fault("unit of the joints", cause, fix, _turned(np.diag(np.where(turns, factor, 1.0))))
+            for i in np.flatnonzero(turns).tolist() if turns.sum() > 1 else ():
+                one = np.where(np.arange(len(turns)) == i, factor, 1.0)
+                cause, fix = f"the angles of joint {i + 1} look like {words}", f"Correct the unit of column q{i + 1}"
+                yield Fault(f"unit of joint {i + 1}", cause, fix, _turned(np.diag(one)), 1, common=False)
     yield from flips(problem)
     if (other := problem.robot.in_other_convention()) is not None:
         cause, fix = "the DH table seems to be of the other convention", "Correct its convention, standard or modified"
@@ -372,8 +408,12 @@ def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
         cause = "the dial seems to have been set to zero anew, or to have slipped in its clamp"
         yield Fault("dial set to zero anew", cause, fix, partial(zero_moved, column=probe.column), 2, False)
     fix = "Master that joint, and measure the later rows again"
-    yield Fault("joint slipped", "the encoder of a joint seems to have slipped", fix, joint_slipped, 8, False)
+    yield Fault(SLIPPED, "the encoder of a joint seems to have slipped", fix, joint_slipped, 8, False)
     yield from hanging(samples)
+    yield from at_an_end(problem, samples)
+    for label in () if probe is None or probe.knows_angles else probe.steps:
+        cause, fix = f"the height of '{label}' seems to be another", "Measure it again, and correct it in the problem"
+        yield Fault(f"height of '{label}'", cause, fix, partial(step_elsewhere, label=label), 1, common=False)
     if problem.instrument.groups is not None:
         fix = "Fasten base, tool and faces, and measure again, or give the faces other labels from there on"
         yield Fault(MOVED, "base, tool or faces seem to have moved", fix, somewhere_moved, 9, False)
@@ -385,9 +425,12 @@ def _signs_of_faces(samples: Samples, column: str, label: str | None, ends: floa
     if len(faces.names) < 2:
         return
     for name in faces.names:
-        cause = f"the readings on '{name}' seem to have the wrong sign"
-        fix = f"Reverse the sign of the readings on '{name}'"
         for end in dict.fromkeys((0.0, ends)):
+            cause = f"the readings on '{name}' seem to have the wrong sign"
+            fix = f"Reverse the sign of the readings on '{name}'"
+            if end:
+                cause = f"the readings r on '{name}' seem to be counted from the other end of the travel"
+                fix = f"Write {end:g} - r in place of each r on '{name}'"
 
             def other(samples: Samples, name: str = name, end: float = end) -> Samples:
                 reading, rows = samples.columns[column].copy(), samples.faces(label).rows()[name]
@@ -406,6 +449,15 @@ def pairings(whole: Samples) -> Iterator[Fault]:
             cause = f"{what} seem to belong to the joints of the {which} row"
             undo = partial(_paired, whole=whole, by=by, labels=what != "readings")
             yield Fault("readings one row off", cause, "Move their columns by one row", undo, 1, common=False)
+    for i in range(whole.joints.shape[1]) if possible else ():
+        for by, which in ((1, "previous"), (-1, "next")):
+            cause = f"the values of joint {i + 1} seem to be those of the {which} row, in all rows"
+            own = np.roll(whole.joints[:, i], -by)
+            moved = replace(whole, joints=np.column_stack([whole.joints[:, :i], own, whole.joints[:, i + 1 :]]))
+            kept = moved.take(range(max(-by, 0), len(whole) - max(by, 0)))
+            shifted = OfRows(lambda _, kept=kept: kept)  # type: ignore[misc]
+            fix = f"Move column q{i + 1} by one row"
+            yield Fault(f"joint {i + 1} one row off", cause, fix, shifted, 1, common=False)
 
 
 def _paired(problem: Problem, samples: Samples, *, whole: Samples, by: int, labels: bool) -> Undone:

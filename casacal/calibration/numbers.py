@@ -25,7 +25,7 @@ from casacal.uncertainty.moves import DULL, chance_of_move, common_scale
 from casacal.uncertainty.noise import found_noise
 from casacal.uncertainty.tip_error import tip_rms, tip_stds, without_rigid, workspace_joints
 from casacal.values import Array, Index
-from casacal.wording import figures, listed
+from casacal.wording import figures, listed, mm
 
 MEASURED = 1.0  # standard deviation, mm, with which people measure a tool
 DISTINGUISHED = 4.5  # cost, in units of the noise, by which rows tell two causes apart: three standard deviations
@@ -245,12 +245,16 @@ def wrong_scale(bound: ArmProblem, x: Array, covariance: Array) -> list[Finding]
         return []
     joints = workspace_joints(bound.problem.robot)
     field = without_rigid(bound.tip_jacobian(x, joints), bound.tips(x, joints))
-    if tip_rms(field @ found.off) < tip_rms(tip_stds(covariance, field).ravel()) / 2:
+    moved = tip_rms(field @ found.off)
+    if moved < tip_rms(tip_stds(covariance, field).ravel()) / 2:
         return []
     size, way = f"{100 * abs(found.part):.2g}", "large" if found.part > 0 else "small"
     cause = f"all lengths came out {size} % too {way} together; no arm is built so, "
     if not alone:
-        cause += f"and warmth changes it by less than 0.1 %, but lengths that are taken for too {way} do that"
+        cause += (
+            f"and warmth changes it by less than 0.1 %, but lengths that are taken for too {way} do that, and then "
+        )
+        cause += f"the tip errs by {mm(moved)}, which no figure counts"
         fix = f"Compare with a known length: {bound.problem.words.trusted or 'the scale of the instrument'}"
         return [Finding("error" if found.chance <= BY_CHANCE else "warning", SCALE, cause, fix)]
     cause += f"but a dial that shows {size} % too {'much' if found.part > 0 else 'little'} does that"

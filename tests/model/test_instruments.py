@@ -346,6 +346,6 @@ def test_the_way_of_a_dial_is_one_formula_for_numbers_and_symbols():
     shown = np.array([1.0, 2.25])
     for reading in (shown.copy(), ca.DM(shown)):
         row, p = SimpleNamespace(reading=reading), SimpleNamespace(gain=1.0, cycle=(0.0, 3.0))
-        expected = -(1.01 * shown + 3e-3 * np.sin(2 * np.pi * shown)
+        expected = 1.01 * shown + 3e-3 * np.sin(2 * np.pi * shown)
         np.testing.assert_allclose(np.array(dial.reach(p, row)).ravel(), expected, rtol=1e-12)
         np.testing.assert_array_equal(np.array(row.reading).ravel(), shown)
