@@ -13,7 +13,7 @@ import numpy as np
 
 from casacal.calibration.finding import Finding, Severity
 from casacal.data.columns import Dimension
-from casacal.data.repeats import copies_of, standstills
+from casacal.data.repeats import copies_of, repeats_in, standstills
 from casacal.data.samples import WRITTEN, Measurements, Samples
 from casacal.data.text import is_number
 from casacal.fit.bound_problem import ABSURD, BoundProblem, each_alone
@@ -46,6 +46,7 @@ CLEARLY = 4.0  # times as far or as near as it might be by chance
 NO_LENGTH = "no length was measured"
 IN_METRES = 0.1, 20.0  # extent (mm) of a flange's way over random postures that only an arm in metres has
 POSTURES = 40
+APART = 1.0  # mm by which readings of one posture differ only where they are not of one posture
 
 
 def repeated(samples: Samples) -> list[Finding]:
@@ -59,6 +60,23 @@ def repeated(samples: Samples) -> list[Finding]:
     cause = f"{counted(int(again.sum()))} with the same joints and readings as an earlier row"
     fix = "Remove them, unless the arm really went there twice and the dial read the same; each counts once"
     return [Finding("warning", "repeated rows", cause, fix, lines_of(samples, again))]
+
+
+def contradicted(problem: Problem, samples: Samples) -> list[Finding]:
+    """An error on touches of one posture and face that a dial read differently, as where rows were pasted."""
+    probe = problem.instrument.probe
+    if probe is None or probe.column is None or len(samples.faces(probe.zero_label).names) > 1:
+        return []
+    again, reading = repeats_in(Measurements.of(samples), [probe.label]), samples.columns[probe.column]
+    highest, lowest = np.full(len(again.sizes), -math.inf), np.full(len(again.sizes), math.inf)
+    np.maximum.at(highest, again.codes, reading)
+    np.minimum.at(lowest, again.codes, reading)
+    off = (highest - lowest > APART)[again.codes]
+    if not off.any():
+        return []
+    cause = f"{counted(int(off.sum()))} of postures that come again read more than {APART:g} mm apart"
+    fix = "Look which of them are right, and remove the others"
+    return [Finding("error", "one posture, two readings", cause, fix, lines_of(samples, off))]
 
 
 def outside(problem: Problem, samples: Samples) -> Iterator[Finding]:

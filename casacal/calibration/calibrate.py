@@ -25,6 +25,7 @@ from casacal.data.samples import Measurements, Samples
 from casacal.effects.compliance import LinkSag
 from casacal.effects.kit import with_link_kit
 from casacal.effects.selection import with_effects
+from casacal.effects.trusted import with_constants
 from casacal.errors import CasacalError, ProblemError, SamplesError, came
 from casacal.fit.arm_alone import bind_further
 from casacal.fit.bound_problem import BoundProblem, bind
@@ -91,8 +92,8 @@ def calibrate(
         outliers: "set aside" fits without the rows that chance does not explain, where they are few, and names them;
             "keep" fits all. With a robust loss all are kept. Copies of a row always count once.
         discrepancy: "kit" takes non-geometric effects into account: the problem's own, or
-            those to expect of any arm; "none" takes geometry for all there is, as a robust loss, methods that search
-            a box, and thousands of faces do.
+            those to expect of any arm; "none" takes geometry for all there is, and instruments for perfect, as methods
+            that search a box and thousands of faces do. Beside a robust loss only constants of instruments may err.
         loss: a robust loss, such as `huber()`, for methods that minimise: all but filters and "plane-only".
         prior: an earlier result of this arm: all that it knows, with its covariance, its effects and its noise, is what
             is known before these rows. They alone would tell less, and need be few. Faces are fitted anew.
@@ -127,8 +128,11 @@ def calibrate(
                 taken.sets[0], set_aside=set_aside, noise=find_noise, kit=kit, backend=backend, threads=threads
             )
         else:
-            kit = kit and loss is None and not (name in METHODS and METHODS[name].parameters_only)
-            fit, bare, aside = _from_drawing(source.problem, taken, set_aside, find_noise, kit, loss, backend, threads)
+            alone = name in METHODS and METHODS[name].parameters_only
+            beside = "nothing" if alone or not kit else "effects" if loss is None else "constants"
+            fit, bare, aside = _from_drawing(
+                source.problem, taken, set_aside, find_noise, beside, loss, backend, threads
+            )
         if not source.problem.terms and any(isinstance(each, LinkSag) for each in fit.problem.terms):
             source = replace(source, problem=with_link_kit(source.problem))  # a result names effects that are not usual
         heldout = bind_further(fit, *single.take(held).sets) if held.size else None
@@ -176,21 +180,30 @@ def _from_drawing(
     rows: Measurements,
     set_aside: bool,
     find_noise: bool,
-    kit: bool,
+    beside: str,
     loss: Loss | None,
     backend: str | None,
     threads: int | None,
 ) -> tuple[BoundProblem, BoundProblem, tuple[Finding, ...]]:
-    """Rows as they are fitted where the drawing is all that is known, under the geometry alone, and what is wrong."""
+    """Rows as they are fitted where the drawing is all that is known, under the geometry alone, and what is wrong.
+
+    beside: the geometry, what may err as well: "effects", those of the arm too; "constants", those that the instruments
+    take for exact, alone, since no loss makes a dial perfect; or "nothing".
+    """
 
     def with_noise(bare: BoundProblem) -> BoundProblem:
         scale = found_noise(bare, loss).scale if find_noise else {}
         return bare.with_noise(scale) if scale else bare
 
+    def whole_of(bare: BoundProblem) -> BoundProblem:
+        if beside == "effects":
+            return with_effects(bare, problem, find_noise=find_noise)
+        unsure = with_constants(bare.problem) if beside == "constants" and bare.unknowns else bare.problem
+        return bare if unsure is bare.problem else bare.under(unsure)
+
     bare, aside = _bound(problem, rows, set_aside, backend, threads)
-    fit = bare = with_noise(bare)
-    if kit:
-        fit = with_effects(bare, problem, find_noise=find_noise)
+    bare = with_noise(bare)
+    fit = whole_of(bare)
     if fit is bare or not set_aside:
         return fit, bare, aside
     # geometry alone takes smooth errors for noise, in which single rows hide, and calls rows gross that err together:
@@ -204,7 +217,7 @@ def _from_drawing(
     if _same(kept, bare.measured):
         return fit, bare, aside
     bare = with_noise(bind(bare.problem, *kept.sets, backend=bare.backend, threads=threads))
-    return with_effects(bare, problem, find_noise=find_noise), bare, found
+    return whole_of(bare), bare, found
 
 
 def _opened(

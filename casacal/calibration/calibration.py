@@ -155,7 +155,8 @@ class Calibration(Value):
     @cached_property
     def plain(self) -> Result:
         """The minimum of `doubted`, without effects of the arm: what is wrong with the rows shows there."""
-        return self.result if self.bare is self.fit else lm(self.doubted)
+        alike = self.bare is self.fit or self.result.loss is not None  # beside a loss nothing of the arm is estimated
+        return self.result if alike else lm(self.doubted)
 
     @property
     def aside_lines(self) -> tuple[int | str, ...]:

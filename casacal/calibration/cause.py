@@ -23,6 +23,7 @@ from casacal.calibration.faults import (
     OfRows,
     at_an_end,
     exchanged_labels,
+    exchanges,
     hanging,
     pairings,
     some_radians,
@@ -135,7 +136,8 @@ def cause_of_rows(problem: Problem, samples: Samples, off: Rows) -> Finding | No
     tail = off.sum() >= FEW_OFF and off[int(np.argmax(off)) :].mean() >= MOSTLY
     nothing = _Attempt((), Undone(problem, samples), math.inf)
     signs = (fault for fault in suspected(problem, samples) if fault.about == WRONG_SIGN)
-    alone = some_radians(problem, samples), hanging(samples), at_an_end(problem, samples), signs
+    exchanged = exchanges(samples, off)
+    alone = some_radians(problem, samples), hanging(samples), at_an_end(problem, samples), exchanged, signs
     rows = chain(*alone) if off.any() else ()
     for fault in chain(pairings(samples) if tail else (), rows):
         for tried in map(_fitted, _undone(fault, nothing)):

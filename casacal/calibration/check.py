@@ -24,6 +24,7 @@ from casacal.effects.trusted import beyond, with_constants
 from casacal.errors import CasacalError, came
 from casacal.fit.bound_problem import BoundProblem, bind, each_alone
 from casacal.fit.lm import lm
+from casacal.model.instrument import Trusted
 from casacal.model.problem import Problem
 from casacal.uncertainty.figures import noise_interval
 from casacal.uncertainty.moves import prior_scatter
@@ -49,6 +50,7 @@ APART = 1.5  # times the misfit of the instrument that fits worst alone, beyond 
 MOST_ROWS = 600  # rows used to look for systematic faults; more add time, not insight
 OF_A_FACE = 12  # rows of a face, where faces are many, that tell of systematic faults
 SPREAD = 20_000  # rows that tell of the set-up and of what the prior explains; more add memory, not insight
+SORTED = 12  # rows whose readings stand in order of size only where somebody sorted them
 STUCK = 1e-9  # rad or mm within which a joint does not move
 MOST_STRAY = 0.1  # part of the rows beyond which those far off their face are no single rows if the others do not fit
 OF_TWO = 3.0  # times what prior errors explain by which the drawn arm must miss before two mistakes are looked for
@@ -134,6 +136,7 @@ def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding
     if lost and not len(samples):
         return lost
     findings = [*lost, *before_fit.repeated(samples), *before_fit.outside(problem, samples)]
+    findings += before_fit.contradicted(problem, samples)
     findings += [*before_fit.lost_labels(problem, samples), *before_fit.odd_labels(problem, samples)]
     samples = without_copies(samples)  # as calibrate takes them
     try:
@@ -150,9 +153,11 @@ def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding
     base = misfit(problem, few)
     if base > SUSPICIOUS and (freed := with_constants(problem)) is not problem:
         fitted = quick_fit(freed, few, backend="blocks")
-        # one that would have to be farther off than its prior covers is a mistake to find, such as a wrong scale
-        if fitted is not None and size_of(*fitted) <= SUSPICIOUS and not beyond(fitted[0], fitted[1].x):
+        far = beyond(fitted[0], fitted[1].x) if fitted is not None and size_of(*fitted) <= SUSPICIOUS else None
+        # a scale that would have to be farther off than its prior covers is a mistake to find
+        if far is not None and not any(constant.scales for constant, _ in far):
             problem, base = freed, misfit(freed, few)
+            findings += [_far_off(*each) for each in far]
     if base > SUSPICIOUS and bad.sum() > MOST_STRAY * len(samples):
         good, few = samples, _few_of_each_face(problem, samples)
         base = misfit(problem, few)
@@ -180,6 +185,13 @@ def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding
     if all(finding.severity != "error" for finding in findings):
         findings += [*effect_findings(drawn, few), *_image(rest, confirmed)]
     return findings
+
+
+def _far_off(constant: Trusted, size: float) -> Finding:
+    """A warning of a constant that the rows put farther off than is stated."""
+    cause = f"the rows put {constant.words} {sized(size, constant.unit)} off, and {sized(constant.std, constant.unit)} "
+    cause += "is stated as its error"
+    return Finding("warning", constant.words, cause, constant.cure or "Measure it, and correct it in the problem file")
 
 
 def _of_fitting_rows(
@@ -245,6 +257,10 @@ def _unexplained(problem: Problem, samples: Samples, base: float, findings: list
         cause = f"there is no column '{column}', so all rows count as of one {what}; with that, {cause}"
         fix = f"Add the column '{column}' with the {what} of each row; if there is only one, check signs and units"
         return Finding("error", "labels absent", cause, fix)
+    for name, values in samples.columns.items():
+        if len(samples) >= SORTED and base > EXPLAINED and (np.diff(values) >= 0).all() | (np.diff(values) <= 0).all():
+            cause = f"the values of '{name}' stand in order of size, as where a column was sorted by itself; {cause}"
+            return Finding("error", "sorted column", cause, "Take the rows as they were measured, joints and all")
     if known:
         cause = f"{cause}; whether {listed(known)} {'is' if len(known) == 1 else 'are'} the cause was not tried"
         return Finding("remark", "misfit", cause, "Correct those first, and check again")

@@ -14,16 +14,18 @@ import numpy as np
 from casacal.calibration.conventions import in_problem
 from casacal.calibration.finding import SUSPICIOUS, Fault, Undo, Undone, freed_of_unknowns, misfit, quick_fit
 from casacal.calibration.numbers import numbers, tool_keys
+from casacal.calibration.set_aside import median_plane
 from casacal.data.columns import Labels
 from casacal.data.samples import Samples, joined
 from casacal.fit.bound_problem import BoundProblem
 from casacal.fit.least_squares import Result
+from casacal.fit.nominal import nominal_tips
 from casacal.fit.slots import ENOUGH
 from casacal.model.instrument import ANGLE_UNITS, UNIT_MISTAKES, Suspect, readings_within
 from casacal.model.joints import Conventions
 from casacal.model.problem import Problem
 from casacal.model.problem_text import conventions_line
-from casacal.values import Array
+from casacal.values import Array, Index, Rows
 from casacal.wording import figures, numbered_lines
 
 MOVED, SLIPPED = "something moved", "joint slipped"
@@ -38,6 +40,7 @@ FEWEST = 5  # rows that a face needs on either side of such a place to have a pl
 HANGS = 6  # rows one after another in which a joint that moves elsewhere shows one value, before it is said to hang
 SMALL = 1e-5  # step of the finite difference, mm or mm per rad
 DOCTOR = "Run casacal doctor on rows of the pendant, and write the coupling into the problem's Conventions"
+APART = 10.0  # mm beyond which a tip is not on a plane, whatever the arm's errors
 MOST_FACES = 12  # faces beyond which their labels are not exchanged two by two
 MOST_SESSIONS = 6  # labels of a column beyond which units are not looked for one by one
 
@@ -374,6 +377,7 @@ def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
     if probe is not None and probe.column is not None:
         yield from _signs_of_faces(samples, probe.column, probe.label, sum(readings_within(probe.travel)))
         yield from _some_units(samples, probe.column, readings_within(probe.travel))
+        yield from _under_one_label(problem, samples)
     yield from _exchanged(problem, samples)
     yield from numbers(problem)
     yield from _zeros(problem)
@@ -415,8 +419,9 @@ def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
         cause, fix = f"the height of '{label}' seems to be another", "Measure it again, and correct it in the problem"
         yield Fault(f"height of '{label}'", cause, fix, partial(step_elsewhere, label=label), 1, common=False)
     if problem.instrument.groups is not None:
-        fix = "Fasten base, tool and faces, and measure again, or give the faces other labels from there on"
-        yield Fault(MOVED, "base, tool or faces seem to have moved", fix, somewhere_moved, 9, False)
+        what = f"{problem.instrument.words.group}s"
+        fix = f"Fasten base, tool and {what}, and measure again, or give the {what} other labels from there on"
+        yield Fault(MOVED, f"base, tool or {what} seem to have moved", fix, somewhere_moved, 9, False)
 
 
 def _signs_of_faces(samples: Samples, column: str, label: str | None, ends: float) -> Iterator[Fault]:
@@ -443,12 +448,15 @@ def _signs_of_faces(samples: Samples, column: str, label: str | None, ends: floa
 def pairings(whole: Samples) -> Iterator[Fault]:
     """Readings, or these and labels, slipped by a row against the joints from some line on, as by a lost detection."""
     several = any(len(labels.names) > 1 for labels in whole.labels.values())
-    possible = bool(whole.columns) and len(whole) <= MOST_PAIRED
-    for what in ("readings", "readings and labels")[: 1 + several] if possible else ():
+    possible = len(whole) <= MOST_PAIRED
+    every = [(True, False, "readings"), (True, True, "readings and labels"), (False, True, "labels")]
+    slips = [each for each in every if (whole.columns or not each[0]) and (several or not each[1])]
+    for readings, labels, what in slips if possible else ():
         for by, which in ((-1, "previous"), (1, "next")):
             cause = f"{what} seem to belong to the joints of the {which} row"
-            undo = partial(_paired, whole=whole, by=by, labels=what != "readings")
-            yield Fault("readings one row off", cause, "Move their columns by one row", undo, 1, common=False)
+            undo = partial(_paired, whole=whole, by=by, readings=readings, labels=labels)
+            about = f"{'readings' if readings else 'labels'} one row off"
+            yield Fault(about, cause, "Move their columns by one row", undo, 1, common=False)
     for i in range(whole.joints.shape[1]) if possible else ():
         for by, which in ((1, "previous"), (-1, "next")):
             cause = f"the values of joint {i + 1} seem to be those of the {which} row, in all rows"
@@ -460,10 +468,10 @@ def pairings(whole: Samples) -> Iterator[Fault]:
             yield Fault(f"joint {i + 1} one row off", cause, fix, shifted, 1, common=False)
 
 
-def _paired(problem: Problem, samples: Samples, *, whole: Samples, by: int, labels: bool) -> Undone:
+def _paired(problem: Problem, samples: Samples, *, whole: Samples, by: int, readings: bool, labels: bool) -> Undone:
     """All rows with readings of the row before (by 1) or after (by -1) from some row on, where all then fits best."""
     del samples  # thinned ones are no neighbours
-    slipped = partial(_slipped, whole, by=by, labels=labels)
+    slipped = partial(_slipped, whole, by=by, readings=readings, labels=labels)
     tried = range(0, len(whole) - 1, max(len(whole) // (PLACES + 1), 1))
     sizes = {place: misfit(problem, slipped(place), first=True) for place in tried}
     place = min(sizes, key=sizes.__getitem__)
@@ -482,13 +490,14 @@ def _paired(problem: Problem, samples: Samples, *, whole: Samples, by: int, labe
     return Undone(problem, slipped(place), said)
 
 
-def _slipped(samples: Samples, place: int, *, by: int, labels: bool) -> Samples:
-    """Rows with the readings of the row before (by 1), or after (by -1), from a place on; one row is lost."""
+def _slipped(samples: Samples, place: int, *, by: int, readings: bool, labels: bool) -> Samples:
+    """Rows with readings, labels or both of the row before (by 1), or after (by -1), from a place on; one is lost."""
     rows = np.arange(len(samples))
     source = np.where(rows < place, rows, rows - by)
     kept = rows[(source >= 0) & (source < len(samples)) & ((rows != place) | (by < 0))]
     found, read = samples.take(kept), samples.take(source[kept])
-    return replace(found, columns=read.columns, labels=read.labels if labels else found.labels)
+    columns = read.columns if readings else found.columns
+    return replace(found, columns=columns, labels=read.labels if labels else found.labels)
 
 
 def _some_units(samples: Samples, column: str, ends: tuple[float, float]) -> Iterator[Fault]:
@@ -504,6 +513,43 @@ def _some_units(samples: Samples, column: str, ends: tuple[float, float]) -> Ite
         yield Fault("unit of some readings", cause, fix, OfRows(partial(replace, columns=changed)), 1, False)
 
 
+def _under_one_label(problem: Problem, samples: Samples) -> Iterator[Fault]:
+    """Two faces whose touches have one label: a part of its tips lies on a plane, and the others far from that."""
+    column = problem.instrument.groups
+    if column is None or len(samples.faces(column).names) > MOST_FACES:
+        return
+    faces, tips = samples.faces(column), nominal_tips(problem, 0, samples)
+    for code, name in enumerate(faces.names):
+        own = np.flatnonzero(faces.codes == code)
+        if len(own) < 4 * FEWEST:
+            continue
+        near = _on_plane(tips[own], tips[own])
+        if (~near).sum() < 2 * FEWEST:
+            continue
+        other = own[~near]
+        both = own[near & _on_plane(tips[other], tips[own])]  # near the edge of the two
+        kept = np.setdiff1d(np.arange(len(samples)), both)
+        for later in (other, np.setdiff1d(own[near], both)):  # a step stands on one of them
+            codes = faces.codes.copy()
+            codes[later] = len(faces.names)
+            labels = {**samples.labels, column: Labels([*faces.names, f"{name} 2"], codes)}
+            cause = f"'{name}' seems to be two {problem.instrument.words.group}s under one label"
+            fix = f"Give these rows a label of their own: {numbered_lines([samples.lines[k] for k in later.tolist()])}"
+            undo = OfRows(partial(_with_labels, labels=labels, rows=kept))
+            yield Fault("two under one label", cause, fix, undo, 2, common=False)
+
+
+def _with_labels(samples: Samples, *, labels: Mapping[str, Labels], rows: Index) -> Samples:
+    return replace(samples, labels=labels).take(rows)
+
+
+def _on_plane(some: Array, tips: Array) -> Rows:
+    """Which tips (N, 3) are on the plane on which some, half of them at least, are within the errors of a drawn arm."""
+    plane, _ = median_plane(some)
+    off, own = (np.abs(each @ plane[:3] - plane[3]) for each in (tips, some))
+    return np.asarray(off <= max(SURELY_OFF * float(np.quantile(own, 0.25)), APART))
+
+
 def _exchanged(problem: Problem, samples: Samples) -> Iterator[Fault]:
     """Labels of two faces exchanged, where one is a step or carries one; other names carry no geometry."""
     column, probe = problem.instrument.groups, problem.instrument.probe
@@ -516,6 +562,16 @@ def _exchanged(problem: Problem, samples: Samples) -> Iterator[Fault]:
         cause, fix = f"the labels '{one}' and '{two}' seem to be exchanged in all rows", "Exchange them"
         undo = OfRows(partial(exchanged, column=column, names={one: two, two: one}))
         yield Fault("labels exchanged", cause, fix, undo)
+
+
+def exchanges(samples: Samples, off: Rows) -> Iterator[Fault]:
+    """Two labels exchanged in all rows, where rows that lie off (N,) have no others."""
+    for column, labels in samples.labels.items():
+        names = [labels.names[code] for code in np.unique(labels.codes[off]).tolist()]
+        if len(names) == 2:
+            undo = OfRows(partial(exchanged, column=column, names={names[0]: names[1], names[1]: names[0]}))
+            cause = f"the labels '{names[0]}' and '{names[1]}' seem to be exchanged in all rows"
+            yield Fault("labels exchanged", cause, "Exchange them", undo, 1, common=False)
 
 
 def exchanged(samples: Samples, *, column: str, names: Mapping[str, str]) -> Samples:

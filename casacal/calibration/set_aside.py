@@ -334,7 +334,7 @@ def strays(problem: Problem, samples: Samples, scatter: float) -> tuple[Rows, li
     tips, faces = nominal_tips(problem, 0, samples), samples.faces(problem.instrument.groups)
     for label, rows in faces.rows().items():
         if len(rows) >= 8:
-            planes[label], size = _median_plane(tips[rows])
+            planes[label], size = median_plane(tips[rows])
             bad[rows] = np.abs(tips[rows] @ planes[label][:3] - planes[label][3]) > GROSS * max(size, scatter)
     if not bad.any() or bad.mean() > MOST_STRAYS:
         return np.zeros(len(samples), dtype=bool), []
@@ -381,7 +381,7 @@ def _lost_places(problem: Problem, samples: Samples, scatter: float) -> tuple[Ro
     return bad, [Finding("error", about, cause, fix, lines)]
 
 
-def _median_plane(tips: Array) -> tuple[Array, float]:
+def median_plane(tips: Array) -> tuple[Array, float]:
     """Plane (n, c) with the smallest median distance of the tips, and their robust scatter."""
     rng = np.random.default_rng(0)
     best, plane = math.inf, np.array([0.0, 0.0, 1.0, 0.0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -130,10 +130,25 @@ class FocalLength(Effect):
         return dict(zip("xyz", ca.vertsplit(along), strict=True))
 
 
-def beyond(bound: BoundProblem, x: Array) -> bool:
-    """Whether a constant stands farther from what is stated, at x (n,), than its prior covers: that is a mistake."""
-    own = np.array([key == TrustedConstants.key for key in bound.beside], dtype=bool)
-    return bool((np.abs(x[own]) > COVERED * bound.prior_std[own]).any())
+def _constants(bound: BoundProblem) -> Iterator[tuple[str, Trusted, list[int]]]:
+    """Full name of each trusted constant, itself, and the places of its errors in x."""
+    columns = (j for j, key in enumerate(bound.beside) if key == TrustedConstants.key)
+    for i, instrument in enumerate(bound.problem.instruments):
+        for name, constant in instrument.trusted.items():
+            yield bound.problem.prefix(i) + name, constant, [next(columns) for _ in range(constant.count)]
+
+
+def beyond(bound: BoundProblem, x: Array) -> list[tuple[Trusted, float]]:
+    """Constants that stand farther off what is stated, at x (n,), than their prior covers, and how far, in their unit.
+
+    That is a mistake. Nothing where constants are taken for exact.
+    """
+    found = _constants(bound) if TrustedConstants.key in bound.beside else ()
+    return [
+        (constant, float(np.linalg.norm(x[own]) * constant.std))
+        for _, constant, own in found
+        if (np.abs(x[own]) > COVERED * bound.prior_std[own]).any()
+    ]
 
 
 @dataclass(frozen=True)
@@ -174,11 +189,9 @@ def leverages(fit: BoundProblem, result: Result) -> tuple[Leverage, ...]:
         slope = covariance[:, j] - (covariance[:, rest] @ known)[:, 0]
         each = tip_rms(field @ slope) / slope[j]
         moved[j] = each * np.array([fit.prior_std[j], math.sqrt(covariance[j, j])])
-    found, columns = [], iter(constants)
-    for i, instrument in enumerate(fit.problem.instruments):
-        for name, constant in instrument.trusted.items():
-            whole, left = np.linalg.norm([moved[next(columns)] for _ in range(constant.count)], axis=0)
-            full = fit.problem.prefix(i) + name
-            figures = float(whole), float(left)
-            found.append(Leverage(full, constant.words, constant.std, constant.unit, *figures, constant.cure))
+    found = []
+    for name, constant, own in _constants(fit):
+        whole, left = np.linalg.norm([moved[j] for j in own], axis=0)
+        figures = float(whole), float(left)
+        found.append(Leverage(name, constant.words, constant.std, constant.unit, *figures, constant.cure))
     return tuple(sorted(found, key=lambda each: -each.left_mm))
