@@ -62,25 +62,8 @@ def repeated(samples: Samples) -> list[Finding]:
     return [Finding("warning", "repeated rows", cause, fix, lines_of(samples, again))]
 
 
-def contradicted(problem: Problem, samples: Samples) -> list[Finding]:
-    """An error on touches of one posture and face that a dial read differently, as where rows were pasted."""
-    probe = problem.instrument.probe
-    if probe is None or probe.column is None or len(samples.faces(probe.zero_label).names) > 1:
-        return []
-    again, reading = repeats_in(Measurements.of(samples), [probe.label]), samples.columns[probe.column]
-    highest, lowest = np.full(len(again.sizes), -math.inf), np.full(len(again.sizes), math.inf)
-    np.maximum.at(highest, again.codes, reading)
-    np.minimum.at(lowest, again.codes, reading)
-    off = (highest - lowest > APART)[again.codes]
-    if not off.any():
-        return []
-    cause = f"{counted(int(off.sum()))} of postures that come again read more than {APART:g} mm apart"
-    fix = "Look which of them are right, and remove the others"
-    return [Finding("error", "one posture, two readings", cause, fix, lines_of(samples, off))]
-
-
 def outside(problem: Problem, samples: Samples) -> Iterator[Finding]:
-    """Readings outside the dial's travel, joints outside their limits, angles that no joint turns to."""
+    """Readings outside the dial's travel, joints outside their limits, and readings that contradict each other."""
     instrument, probe = problem.instrument, problem.instrument.probe
     if probe is not None and probe.column is not None:
         reading, (low, high) = samples.columns[probe.column], readings_within(probe.travel)
@@ -113,6 +96,24 @@ def outside(problem: Problem, samples: Samples) -> Iterator[Finding]:
             cause = f"{counted(int(bad.sum()), 'value')} outside the limits that the problem declares"
             fix = "Check the order, signs and units of the joint columns, or the limits"
             yield Finding("warning", f"joint {i + 1} outside its limits", cause, fix, lines_of(samples, bad))
+    yield from _contradicted(problem, samples)
+
+
+def _contradicted(problem: Problem, samples: Samples) -> Iterator[Finding]:
+    """An error on touches of one posture and face that a dial read differently, as where rows were pasted."""
+    probe = problem.instrument.probe
+    if probe is None or probe.column is None or len(samples.faces(probe.zero_label).names) > 1:
+        return
+    again, reading = repeats_in(Measurements.of(samples), [probe.label]), samples.columns[probe.column]
+    highest, lowest = np.full(len(again.sizes), -math.inf), np.full(len(again.sizes), math.inf)
+    np.maximum.at(highest, again.codes, reading)
+    np.minimum.at(lowest, again.codes, reading)
+    off = (highest - lowest > APART)[again.codes]
+    if not off.any():
+        return
+    cause = f"{counted(int(off.sum()))} of postures that come again read more than {APART:g} mm apart"
+    fix = "Look which of them are right, and remove the others"
+    yield Finding("error", "one posture, two readings", cause, fix, lines_of(samples, off))
 
 
 def _declared(least: float, most: float, low: float, high: float) -> str:

@@ -115,8 +115,7 @@ def calibrate(
     rows = samples_from(samples, source)
     run, name = chosen(method, loss)
     _check_words(noise, outliers, discrepancy)
-    solver = _reference(reference)
-    began = time.perf_counter()
+    solver, began = _reference(reference), time.perf_counter()
     since = _opened(prior, source, rows, loosen, standing, loss)
     single = Measurements.of(rows if since is None else since.opened.rows).map(without_copies)
     fitted, held = split_each(single, holdout, seed, holdout_by, [each.groups for each in source.problem.instruments])
@@ -128,11 +127,8 @@ def calibrate(
                 taken.sets[0], set_aside=set_aside, noise=find_noise, kit=kit, backend=backend, threads=threads
             )
         else:
-            alone = name in METHODS and METHODS[name].parameters_only
-            beside = "nothing" if alone or not kit else "effects" if loss is None else "constants"
-            fit, bare, aside = _from_drawing(
-                source.problem, taken, set_aside, find_noise, beside, loss, backend, threads
-            )
+            more = _beside(name, kit, loss)
+            fit, bare, aside = _from_drawing(source.problem, taken, set_aside, find_noise, more, loss, backend, threads)
         if not source.problem.terms and any(isinstance(each, LinkSag) for each in fit.problem.terms):
             source = replace(source, problem=with_link_kit(source.problem))  # a result names effects that are not usual
         heldout = bind_further(fit, *single.take(held).sets) if held.size else None
@@ -175,21 +171,24 @@ def calibration_of(
     return Calibrated(method, 0, rows, bound, None, result, plane_only(bound), checked, seconds, source, tried=tried)
 
 
+def _beside(method: str, kit: bool, loss: Loss | None) -> Literal["effects", "constants", "nothing"]:
+    """What may err beside the geometry: the arm by its effects, or instruments alone; no loss makes a dial perfect."""
+    if not kit or (method in METHODS and METHODS[method].parameters_only):
+        return "nothing"
+    return "effects" if loss is None else "constants"
+
+
 def _from_drawing(
     problem: Problem,
     rows: Measurements,
     set_aside: bool,
     find_noise: bool,
-    beside: str,
+    beside: Literal["effects", "constants", "nothing"],
     loss: Loss | None,
     backend: str | None,
     threads: int | None,
 ) -> tuple[BoundProblem, BoundProblem, tuple[Finding, ...]]:
-    """Rows as they are fitted where the drawing is all that is known, under the geometry alone, and what is wrong.
-
-    beside: the geometry, what may err as well: "effects", those of the arm too; "constants", those that the instruments
-    take for exact, alone, since no loss makes a dial perfect; or "nothing".
-    """
+    """Rows as they are fitted where the drawing is all that is known, under the geometry alone, and what is wrong."""
 
     def with_noise(bare: BoundProblem) -> BoundProblem:
         scale = found_noise(bare, loss).scale if find_noise else {}

@@ -142,6 +142,11 @@ class Calibration(Value):
         """The fitted rows under the geometry alone."""
         return self.fit if self.geometry is None else self.geometry
 
+    @property
+    def counts_effects(self) -> bool:
+        """Whether effects of the arm are estimated, and not only constants of the instruments."""
+        return bool({*self.fit.beside} - {"", TrustedConstants.key})
+
     @cached_property
     def doubted(self) -> BoundProblem:
         """`bare` with the constants that the instruments take for exact as unknowns.

@@ -24,7 +24,6 @@ from casacal.effects.trusted import beyond, with_constants
 from casacal.errors import CasacalError, came
 from casacal.fit.bound_problem import BoundProblem, bind, each_alone
 from casacal.fit.lm import lm
-from casacal.model.instrument import Trusted
 from casacal.model.problem import Problem
 from casacal.uncertainty.figures import noise_interval
 from casacal.uncertainty.moves import prior_scatter
@@ -136,7 +135,6 @@ def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding
     if lost and not len(samples):
         return lost
     findings = [*lost, *before_fit.repeated(samples), *before_fit.outside(problem, samples)]
-    findings += before_fit.contradicted(problem, samples)
     findings += [*before_fit.lost_labels(problem, samples), *before_fit.odd_labels(problem, samples)]
     samples = without_copies(samples)  # as calibrate takes them
     try:
@@ -151,24 +149,21 @@ def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding
     good = samples.take(np.flatnonzero(~bad)) if bad.any() else samples
     few = _few_of_each_face(problem, good)
     base = misfit(problem, few)
-    if base > SUSPICIOUS and (freed := with_constants(problem)) is not problem:
-        fitted = quick_fit(freed, few, backend="blocks")
-        far = beyond(fitted[0], fitted[1].x) if fitted is not None and size_of(*fitted) <= SUSPICIOUS else None
-        # a scale that would have to be farther off than its prior covers is a mistake to find
-        if far is not None and not any(constant.scales for constant, _ in far):
-            problem, base = freed, misfit(freed, few)
-            findings += [_far_off(*each) for each in far]
+    if base > SUSPICIOUS and (freed := _explained_by_constants(problem, few)) is not None:
+        problem, base, far = freed
+        findings += far
     if base > SUSPICIOUS and bad.sum() > MOST_STRAY * len(samples):
         good, few = samples, _few_of_each_face(problem, samples)
         base = misfit(problem, few)
     gross = float(np.sqrt((some.plain_residual(some.x0) ** 2).mean())) > OF_TWO * scatter
     cause = explained(problem, few, base, gross=gross, whole=samples) if base > SUSPICIOUS else None
-    unsure = cause is None or cause.finding.about in (SLIPPED, MOVED)  # by little, one thing looks like another
-    moved = moved_midway(bind(with_constants(problem), few, backend="blocks")) if unsure else None
-    if moved is not None and not (cause is not None and cause.finding.about == SLIPPED and moved.about[:5] == "joint"):
-        return [moved, *findings]
+    about = "" if cause is None else cause.finding.about
+    if about in ("", SLIPPED, MOVED):  # by little, one thing that moved looks like another
+        moved = moved_midway(bind(with_constants(problem), few, backend="blocks"))
+        if moved is not None and not (about == SLIPPED and moved.about.startswith("joint")):
+            return [moved, *findings]
     midway = changed_midway(problem, few) if base > EXPLAINED and cause is None else None  # more than any arm errs
-    if cause is not None and cause.finding.about == MOVED:  # what exchanged labels look like
+    if cause is not None and about == MOVED:  # what exchanged labels look like
         midway = labels_exchanged(problem, few, cause.undone.samples)
     if midway is not None:
         return [midway, *findings]
@@ -187,11 +182,24 @@ def _of_one(problem: Problem, samples: Samples, confirmed: bool) -> list[Finding
     return findings
 
 
-def _far_off(constant: Trusted, size: float) -> Finding:
-    """A warning of a constant that the rows put farther off than is stated."""
-    cause = f"the rows put {constant.words} {sized(size, constant.unit)} off, and {sized(constant.std, constant.unit)} "
-    cause += "is stated as its error"
-    return Finding("warning", constant.words, cause, constant.cure or "Measure it, and correct it in the problem file")
+def _explained_by_constants(problem: Problem, samples: Samples) -> tuple[Problem, float, list[Finding]] | None:
+    """The problem with its trusted constants unknown, the misfit left, and a warning of each far off; else None.
+
+    A scale that would have to be farther off than its prior covers is a mistake to find.
+    """
+    if (freed := with_constants(problem)) is problem:
+        return None
+    fitted, findings = quick_fit(freed, samples, backend="blocks"), list[Finding]()
+    if fitted is None or size_of(*fitted) > SUSPICIOUS:
+        return None
+    for constant, size in beyond(fitted[0], fitted[1].x):
+        if constant.scales:
+            return None
+        cause = f"the rows put {constant.words} {sized(size, constant.unit)} off, and "
+        cause += f"{sized(constant.std, constant.unit)} is stated as its error"
+        fix = f"State it better: {constant.cure}"
+        findings.append(Finding("warning", constant.words, cause, fix))
+    return freed, misfit(freed, samples), findings
 
 
 def _of_fitting_rows(

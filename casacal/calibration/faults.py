@@ -378,7 +378,7 @@ def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
         yield from _signs_of_faces(samples, probe.column, probe.label, sum(readings_within(probe.travel)))
         yield from _some_units(samples, probe.column, readings_within(probe.travel))
         yield from _under_one_label(problem, samples)
-    yield from _exchanged(problem, samples)
+    yield from _steps(problem, samples)
     yield from numbers(problem)
     yield from _zeros(problem)
     for i, j in permutations(range(len(turns)), 2):
@@ -415,9 +415,6 @@ def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
     yield Fault(SLIPPED, "the encoder of a joint seems to have slipped", fix, joint_slipped, 8, False)
     yield from hanging(samples)
     yield from at_an_end(problem, samples)
-    for label in () if probe is None or probe.knows_angles else probe.steps:
-        cause, fix = f"the height of '{label}' seems to be another", "Measure it again, and correct it in the problem"
-        yield Fault(f"height of '{label}'", cause, fix, partial(step_elsewhere, label=label), 1, common=False)
     if problem.instrument.groups is not None:
         what = f"{problem.instrument.words.group}s"
         fix = f"Fasten base, tool and {what}, and measure again, or give the {what} other labels from there on"
@@ -550,11 +547,17 @@ def _on_plane(some: Array, tips: Array) -> Rows:
     return np.asarray(off <= max(SURELY_OFF * float(np.quantile(own, 0.25)), APART))
 
 
-def _exchanged(problem: Problem, samples: Samples) -> Iterator[Fault]:
-    """Labels of two faces exchanged, where one is a step or carries one; other names carry no geometry."""
+def _steps(problem: Problem, samples: Samples) -> Iterator[Fault]:
+    """Steps of another height, and labels of two faces exchanged, where one is a step or carries one.
+
+    Other names carry no geometry.
+    """
     column, probe = problem.instrument.groups, problem.instrument.probe
     if column is None or probe is None or not probe.steps:
         return
+    for label in () if probe.knows_angles else probe.steps:
+        cause, fix = f"the height of '{label}' seems to be another", "Measure it again, and correct it in the problem"
+        yield Fault(f"height of '{label}'", cause, fix, partial(step_elsewhere, label=label), 1, common=False)
     names = samples.faces(column).names
     known = {*probe.steps, *(problem.instrument.instance("plane", step) for step in probe.steps)}
     pairs = combinations(names if len(names) <= MOST_FACES else (), 2)

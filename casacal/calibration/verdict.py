@@ -323,7 +323,7 @@ def _beside_the_geometry(calibration: Calibration) -> Iterator[Doubt]:
             f"The robust loss gave less than half of its weight to {rows}. Measure them again.",
         )
     declared = calibration.source.problem.terms
-    if declared and not any(calibration.fit.beside):
+    if declared and not calibration.counts_effects:
         yield Doubt(
             "effects that the problem declares were left out",
             f"The problem declares {listed([effect.words for effect in declared])}, which a robust loss, some methods "
@@ -390,7 +390,7 @@ def _expected(calibration: Calibration) -> str:
     """The error to expect, of flange and tip; what matters first."""
     (before, now), (drawn, flange) = calibration.tip_std, calibration.flange_std
     least = "at least " if calibration.noise.low > NOISE_BAND[1] and not calibration.noise.scale else ""
-    alone = "" if any(calibration.fit.beside) else " and nothing errs beside the geometry"
+    alone = "" if calibration.counts_effects else " and nothing errs beside the geometry"
     trusted = f"apart from the pose of the base, if {calibration.assumed} are right{alone}"
     if (tool := calibration.hidden_tool) is not None:
         said = f"expect a flange error of {least}{mm(flange)} RMS over the workspace (before: {mm(drawn)}), {trusted}. "
@@ -509,7 +509,7 @@ def wrong_with_samples(calibration: Calibration) -> tuple[Finding, ...]:
     found = calibration.data_errors if calibration.suspicious else calibration.plain_errors
     own = [each for each in calibration.instrument_findings if each.severity == "error"]
     reported = {"misfit", SCALE, *(error.about for error in own)}
-    explained = any(calibration.fit.beside) or repeatability(calibration.fit.scale)[0]
+    explained = calibration.counts_effects or repeatability(calibration.fit.scale)[0]
     if any(error.about == OUTLIERS for error in found) and explained:
         robust = robust_fit(calibration.fit)
         if robust is None or not studentised_outliers(*robust).rows:  # effects explain what geometry alone does not

@@ -81,7 +81,7 @@ def test_a_joint_that_hangs_is_named_with_its_rows(touched, rows):
     (error, *_) = check(problem, with_joints(samples, stuck))
     assert error.about == "joint 2 stuck"
     first = samples.lines[rows.start + 1]  # the first may be right
-    assert f"the same value up to lines {first}, " in error.cause
+    assert f"shows in lines {first}, " in error.cause
 
 
 @pytest.mark.long

@@ -9,7 +9,7 @@ from conftest import ROOT
 from oracles import dh_chain
 
 from casacal import Samples, bind, calibrate, check, dial_zero, huber, load_problem, simulate
-from casacal.calibration.before_fit import contradicted
+from casacal.calibration.before_fit import outside
 from casacal.calibration.moved import moved_midway
 from casacal.data.columns import Labels
 from casacal.data.samples import joined
@@ -210,11 +210,13 @@ def test_postures_that_come_again_with_other_readings_are_named(ur5):
     assert len(lines) >= 12
     again = replace(pasted, columns={"reading": samples.columns["reading"][10:20] + 0.02})
     rows = replace(joined(samples, again), lines=tuple(range(1, COUNT + 11)))
-    assert contradicted(source.problem, rows) == []
+    assert [each.about for each in outside(source.problem, rows)] == []
     zeros = replace(source.problem.instrument, zero_shift=dial_zero())
     sessions = {**rows.labels, "session": Labels.of(["a"] * COUNT + ["b"] * 10)}
     shifted = replace(rows, labels=sessions, columns={"reading": rows.columns["reading"] + 2.0 * (np.arange(110) > 99)})
-    assert contradicted(source.problem.with_parts(source.problem.robot, (zeros,)), shifted) == []
+    anew = source.problem.with_parts(source.problem.robot, (zeros,))
+    assert "one posture, two readings" not in [each.about for each in outside(anew, shifted)]
+    assert "one posture, two readings" in [each.about for each in outside(source.problem, shifted)]
 
 
 def test_a_plunger_that_leans_more_than_stated_is_named_and_no_error(ur5):

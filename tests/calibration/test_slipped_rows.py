@@ -85,7 +85,7 @@ def test_a_few_wrong_rows_are_not_said_to_have_slipped():
 def test_rows_are_put_back():
     _, samples = measured("instruments/tracker")
     for change, by in ((lost, 1), (added, -1)):
-        mended = _slipped(change(samples, 9), 9, by=by, labels=False)
+        mended = _slipped(change(samples, 9), 9, by=by, readings=True, labels=False)
         kept = np.delete(
             np.arange(len(samples)), [9, len(samples) - 1][: 1 + (by > 0)] if by > 0 else [len(samples) - 1]
         )
