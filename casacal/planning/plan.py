@@ -369,7 +369,8 @@ def plan_sentences(
         f"{len(plan)} touches: {fitted} to fit, {again} of them once more, {check} kept to verify "
         f"({check / len(plan):.0%})",
         f"Expect a tip error of {figures(plan.error)} mm RMS {where}, apart from the pose of the base, if the "
-        "stated noise and priors are right; effects beside the geometry are not counted",
+        "stated noise and priors are right; errors of the instrument itself and effects beside the geometry are not "
+        "counted",
         f"{without}: {alone}; the same number at random: {figures(plan.at_random)} mm; all {pool} candidates: "
         f"{figures(plan.best)} mm",
         f"On arms that differ from the drawing as the priors allow: {figures(plan.over_arms)} mm; with a tenth of the "

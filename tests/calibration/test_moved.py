@@ -10,6 +10,9 @@ from oracles import dh_chain
 
 from casacal import Samples, bind, calibrate, check, dial_zero, huber, load_problem, simulate
 from casacal.calibration.before_fit import outside
+from casacal.calibration.cause import MisfitCause
+from casacal.calibration.faults import SLIPPED
+from casacal.calibration.finding import Finding, Undone
 from casacal.calibration.moved import moved_midway
 from casacal.data.columns import Labels
 from casacal.data.samples import joined
@@ -64,6 +67,8 @@ def test_a_plate_and_the_block_on_it_move_together(ur5):
     found = moved_in(source.problem, read_with(source.problem, samples, shifts))
     assert found.about == "'floor' and 'block' moved"
     assert "'floor' and 'block' stand elsewhere" in found.cause
+    # half of it is no more than a drift of the readings, which leaves nearly as little, and a calibration allows for
+    assert moved_in(source.problem, read_with(source.problem, samples, shifts / 2)) is None
 
 
 def test_a_tool_that_was_clamped_anew_is_no_slipped_joint(ur5):
@@ -75,6 +80,30 @@ def test_a_tool_that_was_clamped_anew_is_no_slipped_joint(ur5):
     errors = [each for each in check(source.problem, rows) if each.severity == "error"]
     assert [each.about for each in errors] == ["the tool moved"]
     assert f"from line {samples.lines[LATER]} on" in errors[0].cause
+
+
+def test_what_a_large_slip_explains_a_tool_explains_better_but_no_joint_does(ur5, monkeypatch):
+    """Of some arms a slip by fifteen degrees leaves little as well; a slip that is one stays with its own words."""
+    source, samples = ur5
+
+    def slipped(problem, rows, *_, **__):
+        return MisfitCause(Finding("error", SLIPPED, "joint 6", "Master that joint"), Undone(problem, rows))
+
+    monkeypatch.setattr("casacal.calibration.check.explained", slipped)
+    later = (np.arange(COUNT) >= LATER)[:, None]
+    tool = read_with(source.problem, samples, np.where(later, turns(source.problem, samples) @ [0.4, -0.3, 0.0], 0.0))
+    joint = replace(samples, joints=samples.joints + np.where(later, [0, 0, 2e-3, 0, 0, 0], 0.0))
+    assert [each.about for each in errors_of(source, tool)] == ["the tool moved"]
+    assert [each.about for each in errors_of(source, joint)] == [SLIPPED]
+
+
+def test_a_cause_explains_all_or_is_none(ur5):
+    """Touches four times as rough as stated are no reason to name a plate, however far it was bumped."""
+    source = ur5[0]
+    rough = simulate(source.problem, replace(source.cell, repeatability=0.04), samples=COUNT, seed=5).samples
+    labels = np.array(rough.labels["plane"].names)[rough.labels["plane"].codes]
+    shifts = np.where(((labels == "side") & (np.arange(COUNT) >= LATER))[:, None], [0.0, 0.5, 0.0], 0.0)
+    assert moved_in(source.problem, read_with(source.problem, rough, shifts)) is None
 
 
 def test_a_joint_that_slipped_by_little_is_that(ur5):
