@@ -156,7 +156,10 @@ def is_real(value: object) -> bool:
 
 def as_given(value: object) -> str:
     """A value in a refusal: a number as it is, anything else by its type."""
-    return f"{value:g}" if is_finite(value) else came(value)
+    try:
+        return f"{value:g}" if is_real(value) else came(value)
+    except OverflowError:
+        return came(value)
 
 
 def is_finite(value: object) -> bool:
