@@ -487,7 +487,7 @@ class Calibration(Value):
     @cached_property
     def dial_errors(self) -> tuple[selection.DialError, ...]:
         """Whether the rows show an error of the dial that nobody declared; none where effects were not asked for."""
-        return selection.dial_errors(self.fit, self.result.x) if any(self.fit.beside) else ()
+        return selection.dial_errors(self.fit, self.result.x) if self.counts_effects else ()
 
     @cached_property
     def leverages(self) -> tuple[Leverage, ...]:

@@ -266,7 +266,8 @@ def _unexplained(problem: Problem, samples: Samples, base: float, findings: list
         fix = f"Add the column '{column}' with the {what} of each row; if there is only one, check signs and units"
         return Finding("error", "labels absent", cause, fix)
     for name, values in samples.columns.items():
-        if len(samples) >= SORTED and base > EXPLAINED and (np.diff(values) >= 0).all() | (np.diff(values) <= 0).all():
+        ways = set(np.sign(np.diff(values)).tolist()) - {0.0}
+        if len(samples) >= SORTED and base > EXPLAINED and len(ways) == 1:
             cause = f"the values of '{name}' stand in order of size, as where a column was sorted by itself; {cause}"
             return Finding("error", "sorted column", cause, "Take the rows as they were measured, joints and all")
     if known:
