@@ -37,7 +37,7 @@ SHORTEST = 4  # letters from which one letter more or less is a slip and not ano
 MOST_LABELS = 200  # labels that are compared with one another; where there are more they are numbers, not names
 WRONG_SIGN = "wrong dial sign"
 FAR = 10.0  # times its travel by which no dial is outside it
-LOST_STEP = "step without a face"
+LOST_STEP, TWO_READINGS = "step without a face", "one posture, two readings"
 SMALLEST_TILT = 5.0  # degrees between plunger and normal below which touches count as normal; 10 remove the blindness
 SMALLEST_FACE = 0.05  # fraction of the arm's reach that touches of a face should span
 SMALLEST_ANGLE = 20.0  # degrees between faces below which they count as parallel
@@ -46,7 +46,7 @@ CLEARLY = 4.0  # times as far or as near as it might be by chance
 NO_LENGTH = "no length was measured"
 IN_METRES = 0.1, 20.0  # extent (mm) of a flange's way over random postures that only an arm in metres has
 POSTURES = 40
-APART = 1.0  # mm by which readings of one posture differ only where they are not of one posture
+DIFFERENT = 1.0  # mm by which readings of one posture differ only where they are not of one posture
 
 
 def repeated(samples: Samples) -> list[Finding]:
@@ -108,12 +108,12 @@ def _contradicted(problem: Problem, samples: Samples) -> Iterator[Finding]:
     highest, lowest = np.full(len(again.sizes), -math.inf), np.full(len(again.sizes), math.inf)
     np.maximum.at(highest, again.codes, reading)
     np.minimum.at(lowest, again.codes, reading)
-    off = (highest - lowest > APART)[again.codes]
+    off = (highest - lowest > DIFFERENT)[again.codes]
     if not off.any():
         return
-    cause = f"{counted(int(off.sum()))} of postures that come again read more than {APART:g} mm apart"
+    cause = f"{counted(int(off.sum()))} of postures that come again read more than {DIFFERENT:g} mm apart"
     fix = "Look which of them are right, and remove the others"
-    yield Finding("error", "one posture, two readings", cause, fix, lines_of(samples, off))
+    yield Finding("error", TWO_READINGS, cause, fix, lines_of(samples, off))
 
 
 def _declared(least: float, most: float, low: float, high: float) -> str:

@@ -215,7 +215,14 @@ def _of_fitting_rows(
             cause = "these samples would look the same, so they cannot show it"
             findings.append(Finding("remark", f"{fault.about}?", cause, "Check it by hand"))
     findings += _rows(rest)
+    two = [each for each in findings if each.about == before_fit.TWO_READINGS]  # of which one is right
+    findings = [each for each in findings if each not in two]
     off = np.isin(samples.lines, [line for each in findings if each.severity == "error" for line in each.lines])
+    if any(
+        each.about == before_fit.TWO_READINGS
+        for each in before_fit.outside(problem, samples.take(np.flatnonzero(~off)))
+    ):
+        findings += two
     cause_of_all = cause_of_rows(problem, samples, off)  # what explains all rows that lie off stands in their place
     return findings if cause_of_all is None else [cause_of_all, *(each for each in findings if not each.lines)]
 

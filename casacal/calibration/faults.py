@@ -38,9 +38,10 @@ MOST_PAIRED = 1200  # rows beyond which it takes too long to look where they sli
 SURELY_OFF = 10.0  # times the median residual beyond which a row is off, however far
 FEWEST = 5  # rows that a face needs on either side of such a place to have a plane there
 HANGS = 6  # rows one after another in which a joint that moves elsewhere shows one value, before it is said to hang
+AT_END = 6  # readings of one value, twice as many as of any other, that the end of a plunger's way makes
 SMALL = 1e-5  # step of the finite difference, mm or mm per rad
 DOCTOR = "Run casacal doctor on rows of the pendant, and write the coupling into the problem's Conventions"
-APART = 10.0  # mm beyond which a tip is not on a plane, whatever the arm's errors
+OFF_PLANE = 10.0  # mm beyond which a tip is not on a plane, whatever the arm's errors
 MOST_FACES = 12  # faces beyond which their labels are not exchanged two by two
 MOST_SESSIONS = 6  # labels of a column beyond which units are not looked for one by one
 
@@ -219,7 +220,7 @@ def at_an_end(problem: Problem, samples: Samples) -> Iterator[Fault]:
     reading = samples.columns[probe.column]
     shown, counts = np.unique(reading, return_counts=True)
     for k, which in ((-1, "largest"), (0, "smallest")):
-        if not HANGS <= counts[k] <= len(samples) / 2 or 2 * np.delete(counts, k).max(initial=0) > counts[k]:
+        if not AT_END <= counts[k] <= len(samples) / 2 or 2 * np.delete(counts, k).max(initial=0) > counts[k]:
             continue
         there = reading == shown[k]
         lines = numbered_lines([samples.lines[row] for row in np.flatnonzero(there).tolist()])
@@ -544,7 +545,7 @@ def _on_plane(some: Array, tips: Array) -> Rows:
     """Which tips (N, 3) are on the plane on which some, half of them at least, are within the errors of a drawn arm."""
     plane, _ = median_plane(some)
     off, own = (np.abs(each @ plane[:3] - plane[3]) for each in (tips, some))
-    return np.asarray(off <= max(SURELY_OFF * float(np.quantile(own, 0.25)), APART))
+    return np.asarray(off <= max(SURELY_OFF * float(np.quantile(own, 0.25)), OFF_PLANE))
 
 
 def _steps(problem: Problem, samples: Samples) -> Iterator[Fault]:

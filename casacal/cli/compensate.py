@@ -182,7 +182,7 @@ def _tell(
     written: list[str],
 ) -> int:
     """Print what was done to a program, for an arm and that which it was taught on; 1 where moves stay as they are."""
-    from casacal.deployment.arm import FLANGE_UNKNOWN, cautions, column_notes
+    from casacal.deployment.arm import FLANGE_UNKNOWN, PERHAPS_RADIANS, cautions, column_notes
     from casacal.deployment.programs import no_gain
 
     program, moves, left = corrected.program, list[dict[str, Any]](), list[dict[str, Any]]()
@@ -203,7 +203,7 @@ def _tell(
     care += column_notes(arms[0], corrected.missing, ())
     joints = [abs(value) for target in program.targets if target.kind == "joints" for value in target.values]
     if program.language != "urscript" and 0 < max(joints, default=0.0) <= math.tau:
-        care.append("warning: no joint value is larger than 6.3 degrees: are they radians?")
+        care.append(PERHAPS_RADIANS)
     diff = corrected.diff if options.diff else None
     found = {"moves": moves, "left": left, "unused": list(program.unused), "diff": diff}
     largest, missed = (

@@ -47,6 +47,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.deployment.arm import FLANGE_UNKNOWN, cautions, column_notes, unit_notes
     from casacal.deployment.compensate import ROUNDED
     from casacal.deployment.predict import joints_from, predict, write_prediction
+    from casacal.model.robot import inside_limits
     from casacal.programs.endings import is_program
 
     result = read_arm(options, options.joints)
@@ -59,9 +60,7 @@ def run(options: argparse.Namespace) -> int:
     prediction = predict(result, joints, frame=options.frame, nominal=nominal, std=options.std, force=options.force)
     robot, rows = result.source.problem.robot, joints.joints
     said = unit_notes(robot, rows)
-    lower, upper = robot.limits
-    beyond = [i for i, q in enumerate(rows) if (lower - q > ROUNDED).any() or (q - upper > ROUNDED).any()]
-    if beyond:
+    if beyond := (~inside_limits(robot, rows, slack=ROUNDED)).nonzero()[0].tolist():
         where = f"{len(beyond)} of {counted(len(rows), 'posture')} outside the joint limits, the first in line"
         said.append(f"warning: {where} {joints.lines[beyond[0]]}: are unit and zeros those of the problem?")
     said += [] if nominal else column_notes(result, prediction.missing, prediction.beyond)

@@ -29,6 +29,7 @@ from casacal.wording import listed
 
 TRUTH = "this is the true arm of a simulation, not a calibration"
 FLANGE_UNKNOWN = "the error of the flange is not known, see the verdict: --frame tip if this tip does the work"
+PERHAPS_RADIANS = "warning: no joint value is larger than 6.3 degrees: are they radians?"
 FRAMES = ("flange", "tip")  # frame of a pose: `robot.pose`, or where the instrument touches
 NAMED = ("parameters", "unknowns", "without_corrections")  # parts of a result whose entries have the name of an unknown
 OTHERS = "others."  # prefix of unknowns that the other instruments share
@@ -343,7 +344,7 @@ def whole_rows(
 def unit_notes(robot: Robot, joints: Array) -> list[str]:
     """A warning of joint values (N, n; rad, mm) that are all so small that they may be radians, read as degrees."""
     small = 0 < math.degrees(np.abs(joints[:, robot.revolute]).max(initial=0.0)) <= math.tau
-    return ["warning: no joint value is larger than 6.3 degrees: are they radians?"] if small else []
+    return [PERHAPS_RADIANS] if small else []
 
 
 def column_notes(arm: CalibratedArm, missing: Mapping[str, tuple[str, ...]], beyond: Sequence[str]) -> list[str]:

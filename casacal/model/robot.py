@@ -331,10 +331,10 @@ def refuse_open(robot: Robot, rows: Samples, closed: Rows) -> None:
         raise SamplesError(rows.file, what, fix, line=lines[0], also=lines[1:])
 
 
-def inside_limits(robot: Robot, joints: Array) -> Rows:
-    """Which postures (N, n; rad, mm) are inside the limits of all joints (N,)."""
+def inside_limits(robot: Robot, joints: Array, *, slack: float = 0.0) -> Rows:
+    """Which postures (N, n; rad, mm) are inside the limits of all joints (N,), or beyond by no more than the slack."""
     lower, upper = robot.limits
-    return np.asarray(((joints >= lower) & (joints <= upper)).all(axis=1))
+    return np.asarray(((joints >= lower - slack) & (joints <= upper + slack)).all(axis=1))
 
 
 def joint_units(robot: Robot) -> Array:

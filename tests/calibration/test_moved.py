@@ -233,10 +233,12 @@ def test_postures_that_come_again_with_other_readings_are_named(ur5):
         samples.take(range(10, 20)), columns={"reading": samples.columns["reading"][30:40]}, labels={"plane": labels}
     )
     rows = replace(joined(samples, pasted), lines=tuple(range(1, COUNT + 11)))
-    named = {each.about: each for each in errors_of(source, rows)}
-    lines = named["one posture, two readings"].lines
-    assert set(lines) <= {*range(11, 21), *range(COUNT + 1, COUNT + 11)}
-    assert len(lines) >= 12
+    (told,) = [each for each in outside(source.problem, rows) if each.about == "one posture, two readings"]
+    assert set(told.lines) <= {*range(11, 21), *range(COUNT + 1, COUNT + 11)}
+    assert len(told.lines) >= 12
+    named = {line for each in errors_of(source, rows) for line in each.lines}
+    assert named
+    assert named <= {*range(COUNT + 1, COUNT + 11)}, "where others name the wrong ones, these alone"
     again = replace(pasted, columns={"reading": samples.columns["reading"][10:20] + 0.02})
     rows = replace(joined(samples, again), lines=tuple(range(1, COUNT + 11)))
     assert [each.about for each in outside(source.problem, rows)] == []
@@ -246,6 +248,16 @@ def test_postures_that_come_again_with_other_readings_are_named(ur5):
     anew = source.problem.with_parts(source.problem.robot, (zeros,))
     assert "one posture, two readings" not in [each.about for each in outside(anew, shifted)]
     assert "one posture, two readings" in [each.about for each in outside(source.problem, shifted)]
+
+
+def test_a_wrong_touch_among_repeated_ones_accuses_no_right_one(ur5):
+    source = ur5[0]
+    made = simulate(source.problem, replace(source.cell, repeats=3), samples=120, seed=3).samples
+    reading = made.columns["reading"].copy()
+    reading[40] += 1.5 if reading[40] < 5 else -1.5
+    reading[77] += 1.0 if reading[77] < 5 else -1.0
+    errors = errors_of(source, replace(made, columns={"reading": reading}))
+    assert {line for each in errors for line in each.lines} == {made.lines[40], made.lines[77]}
 
 
 def test_a_plunger_that_leans_more_than_stated_is_named_and_no_error(ur5):
